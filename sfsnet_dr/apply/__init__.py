@@ -1,0 +1,1 @@
+"""Decompose a photograph and relight it."""

@@ -1,0 +1,1 @@
+"""Conventions, checks, the choice of LLVM, colour, image files and provenance."""

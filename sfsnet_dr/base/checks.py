@@ -1,0 +1,50 @@
+"""Errors that end a command with one clear line, and shape checks with named dimensions."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from typing import Any
+
+
+class BadInput(Exception):
+    """The caller's input is wrong. Commands print its one line and exit with code 2."""
+
+
+class WorkFailed(Exception):
+    """The work itself failed on good input. Commands print its one line and exit with code 1."""
+
+
+def check_shape(name: str, array: Any, pattern: str, **known: int) -> dict[str, int]:
+    """Match an array's shape against named dimensions.
+
+    Args:
+        name: the argument's name, for the message.
+        array: anything with a ``shape``.
+        pattern: dimensions separated by spaces, each a number or a name: ``"B 3 H W"``.
+        known: sizes that named dimensions must have, for example from an earlier check.
+
+    Returns:
+        The size of every named dimension, ``known`` included.
+
+    Raises:
+        BadInput: naming the argument, the shape found and the pattern allowed.
+    """
+    shape = tuple(int(s) for s in array.shape)
+    dims = pattern.split()
+    sizes = dict(known)
+    matches = len(dims) == len(shape)
+    for dim, size in zip(dims, shape, strict=False):
+        want = int(dim) if dim.isdigit() else sizes.setdefault(dim, size)
+        matches = matches and want == size
+    if not matches:
+        where = f" with {', '.join(f'{k}={v}' for k, v in known.items())}" if known else ""
+        raise BadInput(f"{name}: shape {shape} found, ({', '.join(dims)}){where} expected")
+    return sizes
+
+
+def nearest(word: str, allowed: Iterable[str]) -> str:
+    """The end of an error message: the nearest allowed word if one is close, else all of them."""
+    words = sorted(allowed)
+    close = difflib.get_close_matches(word, words, n=1)
+    return f"did you mean {close[0]!r}?" if close else f"allowed: {', '.join(words)}"

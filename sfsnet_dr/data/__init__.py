@@ -1,0 +1,1 @@
+"""Bundles, manifests, relighting on the fly and photographs."""

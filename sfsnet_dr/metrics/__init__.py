@@ -1,0 +1,1 @@
+"""Errors of normals and images, and their intervals."""

@@ -1,0 +1,1 @@
+"""Path-traced references, ground-truth maps, light transport and the shading models."""

@@ -1,0 +1,1 @@
+"""Face models, appearance and cameras, and how they become a Mitsuba scene."""

@@ -1,0 +1,1 @@
+"""Real spherical harmonics: basis, coefficients, rotation, projection and light priors."""
