@@ -1,0 +1,97 @@
+"""Frozen dataclasses from TOML: every key known, every value of its field's type, every error one line."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import tomllib
+import types
+import typing
+from pathlib import Path
+from typing import Any, TypeVar
+
+from sfsnet_dr.base.checks import BadInput, nearest
+
+T = TypeVar("T")
+
+
+def load_toml(cls: type[T], path: Path | str) -> T:
+    """Read a TOML file into a frozen dataclass; tables become nested dataclasses, arrays tuples.
+
+    Raises:
+        BadInput: for a missing or malformed file, an unknown or missing key, or a value of another type,
+            naming the file and the key, what was found and what is allowed.
+    """
+    path = Path(path)
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise BadInput(f"{path}: no such file") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadInput(f"{path}: cannot be read as text ({type(error).__name__})") from error
+    except tomllib.TOMLDecodeError as error:
+        raise BadInput(f"{path}: is not valid TOML ({error})") from error
+    return build(cls, table, str(path))
+
+
+def build(cls: type[T], table: dict[str, Any], where: str) -> T:
+    """Build a dataclass from a table; ``where`` prefixes the messages."""
+    hints = typing.get_type_hints(cls)
+    fields = {field.name: field for field in dataclasses.fields(cls)}  # type: ignore[arg-type]
+    for key in table:
+        if key not in fields:
+            raise BadInput(f"{where}: unknown key {key!r}; {nearest(key, fields)}")
+    required = [
+        name
+        for name, field in fields.items()
+        if field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+    ]
+    for name in required:
+        if name not in table:
+            raise BadInput(f"{where}: key {name!r} is missing")
+    values = {key: _convert(hints[key], value, f"{where}: {key}") for key, value in table.items()}
+    return cls(**values)
+
+
+def as_dict(spec: Any) -> dict[str, Any]:
+    """A dataclass as plain JSON values, for records and hashes."""
+    plain: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(spec)))
+    return plain
+
+
+def fingerprint(spec: Any) -> str:
+    """A short hash of every value of a dataclass: equal specs, equal fingerprints."""
+    text = json.dumps(as_dict(spec), sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _convert(hint: Any, value: Any, where: str) -> Any:
+    if dataclasses.is_dataclass(hint):
+        if not isinstance(value, dict):
+            raise BadInput(f"{where}: {value!r} found, a table is needed")
+        return build(typing.cast(type[Any], hint), value, where)
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (types.UnionType, typing.Union):
+        return _convert(next(a for a in arguments if a is not type(None)), value, where)
+    if origin is typing.Literal:
+        if value not in arguments:
+            raise BadInput(f"{where}: {value!r} found; {nearest(str(value), map(str, arguments))}")
+        return value
+    if origin is tuple:
+        return _convert_tuple(arguments, value, where)
+    if hint is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if type(value) is not hint:
+        raise BadInput(f"{where}: {value!r} found, {getattr(hint, '__name__', hint)} is needed")
+    return value
+
+
+def _convert_tuple(arguments: tuple[Any, ...], value: Any, where: str) -> tuple[Any, ...]:
+    if not isinstance(value, list):
+        raise BadInput(f"{where}: {value!r} found, an array is needed")
+    if len(arguments) == 2 and arguments[1] is Ellipsis:
+        return tuple(_convert(arguments[0], item, where) for item in value)
+    if len(value) != len(arguments):
+        raise BadInput(f"{where}: {len(value)} values found, {len(arguments)} are needed")
+    return tuple(_convert(hint, item, where) for hint, item in zip(arguments, value, strict=True))

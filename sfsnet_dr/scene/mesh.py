@@ -1,0 +1,134 @@
+"""Triangle meshes with per-vertex albedo and region, and the two analytic ones: sphere and plane."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+import numpy.typing as npt
+
+from sfsnet_dr.base.checks import BadInput, check_shape
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.uint32]
+
+
+class Region(IntEnum):
+    """What a vertex belongs to. The face mask counts ``FACE_REGIONS`` only."""
+
+    SKIN = 0
+    LIPS = 1
+    BROW = 2
+    EYELID = 3
+    EAR = 4
+    SCALP = 5
+    NECK = 6
+    EYE_WHITE = 7
+    IRIS = 8
+    PUPIL = 9
+    MOUTH_INSIDE = 10
+    TEETH = 11
+    TONGUE = 12
+
+
+#: Regions of face skin: the losses and errors are counted on them.
+FACE_REGIONS = (Region.SKIN, Region.LIPS, Region.BROW, Region.EYELID)
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A triangle mesh in the camera frame of ``base.conventions``.
+
+    Attributes:
+        vertices: (V, 3) positions, scene units.
+        faces: (F, 3) vertex indices, counter-clockwise seen from outside.
+        albedo: (V, 3) linear Rec. 709 reflectance in [0, 1].
+        regions: (V,) values of ``Region``.
+        normals: (V, 3) unit shading normals.
+    """
+
+    vertices: Array
+    faces: Indices
+    albedo: Array
+    regions: npt.NDArray[np.uint8]
+    normals: Array
+
+    def __post_init__(self) -> None:
+        count = check_shape("Mesh.vertices", self.vertices, "V 3")["V"]
+        check_shape("Mesh.faces", self.faces, "F 3")
+        for name in ("albedo", "normals"):
+            check_shape(f"Mesh.{name}", getattr(self, name), "V 3", V=count)
+        check_shape("Mesh.regions", self.regions, "V", V=count)
+        if self.faces.size and int(self.faces.max()) >= count:
+            raise BadInput(f"Mesh.faces: index {int(self.faces.max())} found, below {count} (vertices) allowed")
+        if not np.isfinite(self.vertices).all():
+            raise BadInput("Mesh.vertices: NaN or inf found, finite positions allowed")
+
+
+def vertex_normals(vertices: Array, faces: Indices) -> Array:
+    """Unit vertex normals: face normals weighted by the corner's angle (Thuermer and Wuethrich 1998).
+
+    Args:
+        vertices: (V, 3).
+        faces: (F, 3), counter-clockwise seen from outside.
+
+    Returns:
+        (V, 3) unit vectors; a vertex of no face, or of degenerate ones only, gets (0, 0, 1).
+    """
+    corners = vertices[faces]
+    edges = np.roll(corners, -1, axis=1) - corners
+    lengths = np.linalg.norm(edges, axis=2, keepdims=True)
+    edges = edges / np.maximum(lengths, 1e-30)
+    face_normals = np.cross(edges[:, 0], edges[:, 1])
+    face_normals /= np.maximum(np.linalg.norm(face_normals, axis=1, keepdims=True), 1e-30)
+    cosines = -np.einsum("fkc,fkc->fk", edges, np.roll(edges, 1, axis=1))
+    weights = np.arccos(np.clip(cosines, -1.0, 1.0))[..., None] * face_normals[:, None]
+    flat = faces.ravel()
+    summed = np.stack(
+        [np.bincount(flat, weights[..., axis].ravel(), len(vertices)) for axis in range(3)], axis=1
+    )
+    length = np.linalg.norm(summed, axis=1, keepdims=True)
+    return np.where(length > 1e-20, summed / np.maximum(length, 1e-30), (0.0, 0.0, 1.0))
+
+
+def sphere(radius: float = 0.9, albedo: tuple[float, float, float] = (0.5, 0.5, 0.5), rings: int = 96) -> Mesh:
+    """A latitude-longitude sphere about the origin with exact normals.
+
+    With 96 rings the facets lie at most 0.03 % of the radius inside the sphere.
+    """
+    polar = np.linspace(0.0, np.pi, rings + 1)
+    azimuth = np.linspace(0.0, 2 * np.pi, 2 * rings, endpoint=False)
+    theta, phi = np.meshgrid(polar, azimuth, indexing="ij")
+    unit = np.stack([np.sin(theta) * np.sin(phi), np.cos(theta), np.sin(theta) * np.cos(phi)], axis=-1)
+    ring, step = np.meshgrid(np.arange(rings), np.arange(2 * rings), indexing="ij")
+    here = ring * 2 * rings + step
+    right = ring * 2 * rings + (step + 1) % (2 * rings)
+    quads = np.stack([here, here + 2 * rings, right + 2 * rings, right], axis=-1).reshape(-1, 4)
+    faces = triangulate(quads.astype(np.uint32))
+    normals = unit.reshape(-1, 3)
+    return _uniform(radius * normals, faces, normals, albedo)
+
+
+def plane(size: float = 4.0, albedo: tuple[float, float, float] = (0.5, 0.5, 0.5)) -> Mesh:
+    """A square in z = 0 that faces the viewer. ``size`` is its edge in scene units (the view is 2 wide)."""
+    half = size / 2
+    vertices = np.array([[-half, -half, 0.0], [half, -half, 0.0], [half, half, 0.0], [-half, half, 0.0]])
+    faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.uint32)
+    return _uniform(vertices, faces, np.tile([0.0, 0.0, 1.0], (4, 1)), albedo)
+
+
+def triangulate(quads: Indices) -> Indices:
+    """Split (Q, 4) quads along their first diagonal into (2 Q, 3) triangles."""
+    return np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]).astype(np.uint32)
+
+
+def _uniform(vertices: Array, faces: Indices, normals: Array, albedo: tuple[float, float, float]) -> Mesh:
+    count = len(vertices)
+    return Mesh(
+        vertices=vertices,
+        faces=faces,
+        albedo=np.tile(np.asarray(albedo, dtype=np.float64), (count, 1)),
+        regions=np.full(count, Region.SKIN, dtype=np.uint8),
+        normals=normals,
+    )
