@@ -1,0 +1,124 @@
+"""A network's weights in one safetensors file that says which network they belong to."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor, nn
+
+from sfsnet_dr.base.atomic import atomic_path
+from sfsnet_dr.base.checks import BadInput, nearest
+from sfsnet_dr.model.sfsnet import SfSNet
+
+#: Architectures by the name that files and recipes use.
+ARCHITECTURES: Final = {SfSNet.architecture: SfSNet}
+
+FORMAT: Final = "sfsnet_dr.weights"
+VERSION: Final = 1
+
+#: The one metadata key: safetensors does not keep the order of several, and bytes should repeat.
+HEADER: Final = "sfsnet_dr"
+
+
+def build(architecture: str, config: Mapping[str, int]) -> SfSNet:
+    """A freshly initialised network by name.
+
+    Raises:
+        BadInput: for an unknown name or an unknown configuration key.
+    """
+    if architecture not in ARCHITECTURES:
+        raise BadInput(f"architecture: {architecture!r} found; {nearest(architecture, ARCHITECTURES)}")
+    kind = ARCHITECTURES[architecture]
+    known = kind(1, 1, 1).config
+    for key in config:
+        if key not in known:
+            raise BadInput(f"{architecture} configuration: unknown key {key!r}; {nearest(key, known)}")
+    return kind(**config)
+
+
+def save_weights(path: Path | str, model: SfSNet, metadata: Mapping[str, Any] | None = None) -> None:
+    """Write parameters and batch-normalisation statistics, whole or not at all.
+
+    Args:
+        path: the file, by custom ``*.safetensors``.
+        model: the network.
+        metadata: anything JSON can hold that should travel along: recipe, step, losses, versions.
+    """
+    header = {
+        "format": FORMAT,
+        "version": VERSION,
+        "architecture": model.architecture,
+        "config": model.config,
+        "metadata": dict(metadata or {}),
+    }
+    tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in model.state_dict().items()}
+    with atomic_path(path) as partial:
+        save_file(tensors, partial, {HEADER: json.dumps(header, sort_keys=True)})
+
+
+def load_weights(path: Path | str) -> SfSNet:
+    """The network that a file of ``save_weights`` holds, in evaluation mode, on the CPU.
+
+    Raises:
+        BadInput: if the file is missing, is no weights file, is of another version or architecture, or
+            does not hold the tensors that its architecture needs.
+    """
+    header, tensors = _read(Path(path))
+    model = _fitting(Path(path), header)
+    _fill(Path(path), model, tensors)
+    return model.eval()
+
+
+def read_metadata(path: Path | str) -> dict[str, Any]:
+    """What ``save_weights`` was given as ``metadata``."""
+    header, _ = _read(Path(path), header_only=True)
+    metadata: dict[str, Any] = header.get("metadata", {})
+    return metadata
+
+
+def _read(path: Path, header_only: bool = False) -> tuple[dict[str, Any], dict[str, Tensor]]:
+    if not path.is_file():
+        raise BadInput(f"{path}: no such file; give weights that `sfsnet-dr train` wrote")
+    try:
+        with safe_open(path, framework="pt") as file:
+            text = (file.metadata() or {}).get(HEADER)
+            tensors = {} if header_only else {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError) as error:
+        raise BadInput(
+            f"{path}: not a safetensors file ({_line(error)}); weights have this format"
+        ) from error
+    header: dict[str, Any] = json.loads(text) if text else {}
+    if header.get("format") != FORMAT:
+        found = header.get("format", "no format name")
+        raise BadInput(f"{path}: {found} found in its header, {FORMAT} expected; `sfsnet-dr train` writes it")
+    if header["version"] != VERSION:
+        raise BadInput(f"{path}: weights of format version {header['version']} found, {VERSION} expected")
+    return header, tensors
+
+
+def _fitting(path: Path, header: dict[str, Any]) -> SfSNet:
+    try:
+        return build(header["architecture"], header["config"])
+    except BadInput as error:
+        raise BadInput(f"{path}: weights of another network: {error}") from error
+
+
+def _fill(path: Path, model: nn.Module, tensors: dict[str, Tensor]) -> None:
+    wanted = model.state_dict()
+    for name in sorted(wanted.keys() ^ tensors.keys()):
+        what = "is missing" if name in wanted else "is not part of the network"
+        raise BadInput(f"{path}: tensor {name!r} {what}; the file does not hold the network its header names")
+    for name, tensor in wanted.items():
+        if tensor.shape != tensors[name].shape:
+            found, allowed = tuple(tensors[name].shape), tuple(tensor.shape)
+            raise BadInput(f"{path}: tensor {name!r} has shape {found}, {allowed} expected")
+    model.load_state_dict(tensors)
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split())
