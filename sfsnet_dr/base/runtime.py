@@ -186,7 +186,7 @@ def _named_choice(named: str) -> LlvmChoice:
     path = Path(named)
     if not path.is_file():
         raise BadInput(
-            f"{LLVM_VARIABLE}={named}: no such file; unset it, or name a libLLVM of LLVM {OLDEST_LLVM} or later"
+            f"{LLVM_VARIABLE}={named}: no such file; unset it, or name a libLLVM {OLDEST_LLVM} or later"
         )
     return LlvmChoice(path, llvm_version(path), LLVM_VARIABLE)
 

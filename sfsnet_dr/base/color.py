@@ -1,0 +1,104 @@
+"""Colour in NumPy: the sRGB curve, luminance, colour differences, the tint of a black body.
+
+Linear values are Rec. 709 primaries, white point D65. colour-science does the colorimetry; it is imported
+inside the functions that need it because its import takes about a second.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sfsnet_dr.base.checks import BadInput
+
+_PRIMARIES: Final = np.array([[0.64, 0.33], [0.30, 0.60], [0.15, 0.06]])
+_D65: Final = np.array([0.3127, 0.3290])
+
+
+def _xyz(chromaticity: NDArray[np.float64]) -> NDArray[np.float64]:
+    """XYZ of luminance 1 for xy chromaticities (..., 2)."""
+    x, y = chromaticity[..., 0], chromaticity[..., 1]
+    return np.stack([x / y, np.ones_like(x), (1 - x - y) / y], axis=-1)
+
+
+def _rgb_to_xyz() -> NDArray[np.float64]:
+    columns = _xyz(_PRIMARIES).T
+    return np.asarray(columns * np.linalg.solve(columns, _xyz(_D65)))
+
+
+#: (3, 3) linear Rec. 709 to CIE XYZ (2 degrees), white = luminance 1.
+RGB_TO_XYZ: Final = _rgb_to_xyz()
+#: (3,) luminance of the primaries, near .2126, .7152, .0722.
+LUMINANCE: Final = RGB_TO_XYZ[1]
+
+
+def srgb_to_linear(encoded: ArrayLike) -> NDArray[np.float64]:
+    """Decode sRGB values, any shape, nominally 0..1, into linear light.
+
+    Below 0 the curve's straight piece goes on, above 1 its power piece: nothing is clipped.
+    """
+    return np.asarray(_colour().cctf_decoding(np.asarray(encoded, dtype=np.float64), function="sRGB"))
+
+
+def linear_to_srgb(linear: ArrayLike) -> NDArray[np.float64]:
+    """Encode linear light, any shape, with the sRGB curve: inverse of :func:`srgb_to_linear`, not clipped."""
+    return np.asarray(_colour().cctf_encoding(np.asarray(linear, dtype=np.float64), function="sRGB"))
+
+
+def luminance(linear: ArrayLike) -> NDArray[np.float64]:
+    """Luminance (...) of linear colours (..., 3); white (1, 1, 1) has 1."""
+    return np.asarray(_check_colours("linear", linear) @ LUMINANCE)
+
+
+def delta_e_2000(linear_a: ArrayLike, linear_b: ArrayLike) -> NDArray[np.float64]:
+    """CIE Delta E 2000 (...) between linear colours (..., 3) with white (1, 1, 1); 1 is just noticeable."""
+    colour = _colour()
+    labs = [
+        colour.XYZ_to_Lab(_check_colours(name, linear) @ RGB_TO_XYZ.T, _D65)
+        for name, linear in (("linear_a", linear_a), ("linear_b", linear_b))
+    ]
+    return np.asarray(colour.delta_E(*labs, method="CIE 2000"))
+
+
+def blackbody_tint(kelvin: float) -> NDArray[np.float64]:
+    """Linear colour (3,), luminance 1, of a black body.
+
+    Chromaticity by the cubic fits of Kang et al., "Design of advanced color temperature control system for
+    HDTV applications", 2002. Colours outside the Rec. 709 gamut (below about 1900 K) are clipped at 0.
+
+    Raises:
+        BadInput: outside the fits' 1667 to 25000 K.
+    """
+    if not 1667 <= kelvin <= 25000:
+        raise BadInput(f"colour temperature: {kelvin} K found, 1667 to 25000 allowed")
+    chromaticity = np.array(_blackbody_xy(kelvin))
+    rgb = np.maximum(np.linalg.solve(RGB_TO_XYZ, _xyz(chromaticity)), 0)
+    return np.asarray(rgb / (rgb @ LUMINANCE))
+
+
+def _blackbody_xy(kelvin: float) -> tuple[float, float]:
+    t = 1e3 / kelvin
+    if kelvin <= 4000:
+        x = float(np.polyval([-0.2661239, -0.2343589, 0.8776956, 0.179910], t))
+    else:
+        x = float(np.polyval([-3.0258469, 2.1070379, 0.2226347, 0.240390], t))
+    if kelvin <= 2222:
+        return x, float(np.polyval([-1.1063814, -1.34811020, 2.18555832, -0.20219683], x))
+    if kelvin <= 4000:
+        return x, float(np.polyval([-0.9549476, -1.37418593, 2.09137015, -0.16748867], x))
+    return x, float(np.polyval([3.0817580, -5.87338670, 3.75112997, -0.37001483], x))
+
+
+def _check_colours(name: str, colours: ArrayLike) -> NDArray[np.float64]:
+    array = np.asarray(colours, dtype=np.float64)
+    if array.ndim == 0 or array.shape[-1] != 3:
+        raise BadInput(f"{name}: shape {array.shape} found, (..., 3) expected")
+    return array
+
+
+def _colour() -> Any:
+    import colour
+
+    return colour
