@@ -98,7 +98,7 @@ def test_residual_blocks_pass_features_through_unchanged_when_their_layers_are_z
 def test_light_sees_image_normal_and_albedo_features() -> None:
     model = SfSNet(4, 8, 1)
     energy: Tensor = model(torch.rand(2, 3, 16, 16)).light.square().sum()
-    torch.autograd.backward(energy)
+    energy.backward()  # type: ignore[no-untyped-call]
     for part in (model.conv, model.normal_blocks, model.albedo_blocks):
         assert all(p.grad is not None and torch.isfinite(p.grad).all() for p in part.parameters())
         assert sum(float(p.grad.abs().sum()) for p in part.parameters() if p.grad is not None) > 0
@@ -107,7 +107,7 @@ def test_light_sees_image_normal_and_albedo_features() -> None:
 
 def test_the_gradient_of_a_vanishing_normal_is_bounded() -> None:
     raw = torch.zeros(1, 3, 1, 1, requires_grad=True)
-    unit_normal(raw).sum().backward()
+    unit_normal(raw).sum().backward()  # type: ignore[no-untyped-call]
     assert raw.grad is not None
     # 1 / SHORTEST_NORMAL = 100 for each of the three components
     torch.testing.assert_close(raw.grad, torch.full_like(raw, 100.0))

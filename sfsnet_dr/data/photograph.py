@@ -1,0 +1,146 @@
+"""A photograph brought to the canonical face frame by the places of its two eyes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import map_coordinates
+
+from sfsnet_dr.base.checks import BadInput, check_shape
+from sfsnet_dr.base.config import load_toml
+from sfsnet_dr.base.conventions import CHIN_ROW, EYE_DISTANCE, EYE_IMAGE_LEFT, EYE_IMAGE_RIGHT, FACE_SIZE
+
+#: Eye centres ((x, y), (x, y)) in pixels, the one on the image's left first.
+Eyes = tuple[tuple[float, float], tuple[float, float]]
+
+#: Top row and half width (pixels) of the ellipse that stands for a face when nothing better is known: from
+#: the upper forehead, and 2.2 eye distances wide as the average face is.
+_TOP_ROW: Final = 18.0
+_HALF_WIDTH: Final = 1.1 * EYE_DISTANCE
+
+#: Above this many photograph pixels a canonical pixel (along x), blocks are averaged first.
+_LARGEST_STEP: Final = 8.0
+
+
+def to_canonical(image: NDArray[np.floating], eyes: Eyes) -> NDArray[np.float32]:
+    """Resample a photograph so that its eyes lie where the canonical frame has them.
+
+    A similarity transform (shift, rotation, one scale). Each canonical pixel is the mean of the photograph
+    over its square, sampled at least once a photograph pixel, so that nothing aliases when the face is
+    large; small faces are interpolated bilinearly. Beyond the photograph its border is repeated; see
+    ``inside``.
+
+    Args:
+        image: linear (H, W, 3). Averaging encoded values would darken edges.
+        eyes: centres in pixels, x right and y down from the top left corner, the image's left eye first.
+
+    Returns:
+        (128, 128, 3) linear.
+
+    Raises:
+        BadInput: for another shape, or eyes outside the picture, out of order or less than 4 pixels apart.
+    """
+    sizes = check_shape("image", image, "H W 3")
+    _check_eyes(eyes, sizes["W"], sizes["H"])
+    return _resample(np.asarray(image, np.float32), eyes, "nearest")
+
+
+def inside(height: int, width: int, eyes: Eyes) -> NDArray[np.float32]:
+    """Share of each canonical pixel that a photograph of this size covers, (128, 128) in [0, 1]."""
+    _check_eyes(eyes, width, height)
+    # A ring of zeros, so that the share falls to 0 half a pixel beyond the border and not at once.
+    ones = np.pad(np.ones((height, width, 1), np.float32), ((1, 1), (1, 1), (0, 0)))
+    (xl, yl), (xr, yr) = eyes
+    share: NDArray[np.float32] = _resample(ones, ((xl + 1, yl + 1), (xr + 1, yr + 1)), "constant")[..., 0]
+    return share
+
+
+def face_ellipse_mask() -> NDArray[np.float32]:
+    """The mask of a canonical photograph of which only the eyes are known, (128, 128) in [0, 1].
+
+    An upright ellipse from the forehead to the chin of an average frontal face. It does not leave out eyes,
+    mouth, glasses or a beard, and a turned or small face will not fill it.
+    """
+    fine = (np.arange(FACE_SIZE * 8) + 0.5) / 8
+    middle = (EYE_IMAGE_LEFT[0] + EYE_IMAGE_RIGHT[0]) / 2
+    x = (fine - middle) / _HALF_WIDTH
+    y = (fine - (_TOP_ROW + CHIN_ROW) / 2) / ((CHIN_ROW - _TOP_ROW) / 2)
+    covered = (x[None, :] ** 2 + y[:, None] ** 2 <= 1).reshape(FACE_SIZE, 8, FACE_SIZE, 8)
+    return covered.mean((1, 3)).astype(np.float32)
+
+
+def side_file(image: Path | str) -> Path:
+    """Where the eyes of a photograph are written down: the same name, ending in ``.toml``."""
+    return Path(image).with_suffix(".toml")
+
+
+@dataclass(frozen=True)
+class SideFile:
+    """What a side file holds: eye centres (x right, y down, pixels), by their side of the image."""
+
+    eye_image_left: tuple[float, float]
+    eye_image_right: tuple[float, float]
+
+
+def read_eyes(path: Path | str) -> Eyes:
+    """Read a side file: ``eye_image_left = [x, y]`` and ``eye_image_right = [x, y]``, in pixels.
+
+    Raises:
+        BadInput: if it is missing, no TOML, or its keys or values are others.
+    """
+    found = load_toml(SideFile, path)
+    return found.eye_image_left, found.eye_image_right
+
+
+def _check_eyes(eyes: Eyes, width: int, height: int) -> None:
+    (xl, yl), (xr, yr) = eyes
+    for x, y in eyes:
+        if not (0 <= x <= width and 0 <= y <= height):
+            raise BadInput(f"eyes: ({x:g}, {y:g}) found, a point in the {width} x {height} picture is needed")
+    if xl >= xr:
+        raise BadInput(f"eyes: x = {xl:g} before x = {xr:g} found; give the eye on the image's left first")
+    if math.hypot(xr - xl, yr - yl) < 4:
+        raise BadInput(f"eyes: {math.hypot(xr - xl, yr - yl):.1f} pixels apart, at least 4 are needed")
+
+
+def _resample(image: NDArray[np.float32], eyes: Eyes, beyond: str) -> NDArray[np.float32]:
+    step = math.dist(*eyes) / EYE_DISTANCE
+    if step > _LARGEST_STEP:
+        block = int(step / (_LARGEST_STEP / 2))
+        image = _block_means(image, block)
+        (xl, yl), (xr, yr) = eyes
+        eyes = ((xl / block, yl / block), (xr / block, yr / block))
+        step /= block
+    samples = max(1, math.ceil(step))
+    total = np.zeros((FACE_SIZE, FACE_SIZE, image.shape[2]), np.float64)
+    offsets = (np.arange(samples) + 0.5) / samples
+    for dy in offsets:
+        for dx in offsets:
+            x, y = _to_photograph(eyes, np.arange(FACE_SIZE) + dx, np.arange(FACE_SIZE)[:, None] + dy)
+            for channel in range(image.shape[2]):
+                total[..., channel] += map_coordinates(
+                    image[..., channel], [y - 0.5, x - 0.5], order=1, mode=beyond
+                )
+    return (total / samples**2).astype(np.float32)
+
+
+def _to_photograph(eyes: Eyes, x: ArrayLike, y: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Canonical coordinates to the photograph's: a similarity is a complex number times another."""
+    left, right = (complex(*eye) for eye in eyes)
+    factor = (right - left) / (complex(*EYE_IMAGE_RIGHT) - complex(*EYE_IMAGE_LEFT))
+    places = left + factor * (np.asarray(x) + 1j * np.asarray(y) - complex(*EYE_IMAGE_LEFT))
+    return places.real, places.imag
+
+
+def _block_means(image: NDArray[np.float32], block: int) -> NDArray[np.float32]:
+    """Means of block x block pixels; the border is repeated to fill the last blocks."""
+    height, width, channels = image.shape
+    padded = np.pad(image, ((0, -height % block), (0, -width % block), (0, 0)), mode="edge")
+    blocks = padded.reshape(padded.shape[0] // block, block, padded.shape[1] // block, block, channels)
+    means: NDArray[np.float32] = blocks.mean((1, 3))
+    return means
