@@ -99,6 +99,7 @@ def _check_colours(name: str, colours: ArrayLike) -> NDArray[np.float64]:
 
 
 def _colour() -> Any:
-    import colour
+    with np.printoptions():  # the package changes how NumPy prints, for everybody
+        import colour
 
     return colour

@@ -28,7 +28,7 @@ FRONTAL_SHADING = (0.7, 1.1)
 AMBIENT_SHARE = (0.15, 0.6)
 #: Mean of the normal distribution that lobe directions come from: above the viewer, in front of the face.
 _LOBE_CENTRE = np.array([0.0, 0.35, 0.8])
-#: Least z of the first lobe: lobes that all stood behind the face would, exposed for its front, blow up its rim.
+#: Least z of the first lobe. If all stood behind the face, exposing for its front would flood its rim.
 _KEY_LEAST_Z = 0.3
 _FRONT = np.array([0.0, 0.0, 1.0])
 
@@ -40,8 +40,8 @@ class Lobe:
     Attributes:
         direction: (3,) unit vector toward the light.
         kappa: sharpness, above 0.
-        power: (3,) linear RGB, at least 0: radiance integrated over the sphere, i.e. the irradiance of a surface
-            facing a lobe of infinite sharpness.
+        power: (3,) linear RGB, at least 0: radiance integrated over the sphere, i.e. the irradiance of a
+            surface facing a lobe of infinite sharpness.
     """
 
     direction: NDArray[np.float64]
@@ -120,7 +120,7 @@ def sample_lights(rng: np.random.Generator, count: int) -> list[LobeLight]:
     """Draw lights, exposed so that a surface facing the viewer has a shading of .7 to 1.1 (luminance).
 
     Each has its own ambient tint and gradient, 1 to 3 lobes of their own tint (2800 to 10000 K) and sharpness
-    (2 to 40, log-uniform), more often in front of the face and above than behind it; the first is in front.
+    (2 to 40, log-uniform), more often in front and above than behind; the first is always in front.
 
     Args:
         rng: the only source of randomness; equal generators give equal lights.
@@ -130,7 +130,7 @@ def sample_lights(rng: np.random.Generator, count: int) -> list[LobeLight]:
 
 
 def frontal_shading(light: LobeLight) -> float:
-    """Luminance of a convex white Lambertian surface with normal +z; order 8 leaves at most .4 % of it out."""
+    """Luminance of a convex white Lambertian surface with normal +z, by the order-8 expansion."""
     return float(light.coefficients(MAX_ORDER).to_shading().evaluate(_FRONT) @ LUMINANCE)
 
 

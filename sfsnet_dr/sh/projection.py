@@ -1,10 +1,10 @@
 """Environment maps and directional lights as radiance coefficients.
 
 Convention of equirectangular images (that of Mitsuba's ``envmap`` with identity ``to_world``):
-    A direction (x, y, z) lies at u = atan2(x, -z) / 2 pi (mod 1) and v = acos(y) / pi. Column j has its centre
-    at u = (j + 1/2) / W and wraps around; row i has its centre at v = i / (H - 1), so that the first row *is*
-    the zenith +y and the last row the nadir. Between centres the image is interpolated bilinearly in u and v.
-    The middle of the image is +z, where the viewer stands; columns to its right hold what comes from -x.
+    A direction (x, y, z) lies at u = atan2(x, -z) / 2 pi (mod 1) and v = acos(y) / pi. Column j has its
+    centre at u = (j + 1/2) / W and wraps around; row i has its centre at v = i / (H - 1), so that the first
+    row *is* the zenith +y and the last row the nadir. Between centres the image is interpolated bilinearly in
+    u and v. The middle of the image is +z, where the viewer stands; columns to its right are toward -x.
 """
 
 from __future__ import annotations
