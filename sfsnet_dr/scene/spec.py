@@ -1,0 +1,111 @@
+"""What a scene is: frozen dataclasses, read from the TOML files in ``scenes/``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.base.config import load_toml
+from sfsnet_dr.base.conventions import FACE_SIZE
+
+
+@dataclass(frozen=True)
+class CameraSpec:
+    """A pinhole camera at (0, 0, distance) that looks along -z and sees 2 x 2 units at z = 0.
+
+    Attributes:
+        distance: scene units; one unit is about 104 mm on a face, so that 12 is a portrait at 1.25 m.
+        size: width and height of the image in pixels.
+    """
+
+    distance: float = 12.0
+    size: int = FACE_SIZE
+
+
+@dataclass(frozen=True)
+class HeadSpec:
+    """How heads vary.
+
+    Attributes:
+        subdivision: levels of Catmull-Clark (each multiplies the triangles by 4; 2 gives 158,000).
+        identity: standard deviation of the local shape changes, of their full range of 1.
+        expression: probability of any expression.
+        yaw, pitch, roll: greatest angles in degrees.
+        scale_jitter: greatest relative change of the canonical scale.
+        shift_jitter: greatest shift in pixels of the canonical frame.
+    """
+
+    subdivision: int = 2
+    identity: float = 0.3
+    expression: float = 0.6
+    yaw: float = 20.0
+    pitch: float = 10.0
+    roll: float = 5.0
+    scale_jitter: float = 0.05
+    shift_jitter: float = 2.0
+
+
+@dataclass(frozen=True)
+class SamplingSpec:
+    """Samples a pixel.
+
+    Attributes:
+        maps: for normals, albedo, mask and coverage.
+        transport: light directions for the transport.
+        reference: paths for the reference image.
+        depth: greatest path depth of the reference (2 is direct light only, -1 has no limit).
+    """
+
+    maps: int = 16
+    transport: int = 64
+    reference: int = 64
+    depth: int = -1
+
+
+@dataclass(frozen=True)
+class SceneSpec:
+    """One scene, or one family of seeded scenes.
+
+    Attributes:
+        name: a short word, used in file names and records.
+        shape: ``"anny"`` (a seeded head), ``"sphere"`` or ``"plane"``.
+        albedo: one linear colour for the whole surface; left out, a head gets a seeded skin.
+    """
+
+    name: str
+    shape: Literal["anny", "sphere", "plane"]
+    albedo: tuple[float, float, float] | None = None
+    camera: CameraSpec = CameraSpec()
+    head: HeadSpec = HeadSpec()
+    sampling: SamplingSpec = SamplingSpec()
+
+
+def load_scene(path: Path | str) -> SceneSpec:
+    """Read and check a scene file.
+
+    Raises:
+        BadInput: naming the file and key, what was found and what is allowed.
+    """
+    spec = load_toml(SceneSpec, path)
+    limits = {
+        "camera.distance": (spec.camera.distance, 3.0, 1e4),
+        "camera.size": (spec.camera.size, 1, 4096),
+        "head.subdivision": (spec.head.subdivision, 0, 3),
+        "head.identity": (spec.head.identity, 0.0, 1.0),
+        "head.expression": (spec.head.expression, 0.0, 1.0),
+        "head.yaw": (spec.head.yaw, 0.0, 60.0),
+        "head.pitch": (spec.head.pitch, 0.0, 30.0),
+        "head.roll": (spec.head.roll, 0.0, 45.0),
+        "head.scale_jitter": (spec.head.scale_jitter, 0.0, 0.5),
+        "head.shift_jitter": (spec.head.shift_jitter, 0.0, 32.0),
+        "sampling.maps": (spec.sampling.maps, 1, 4096),
+        "sampling.transport": (spec.sampling.transport, 1, 65536),
+        "sampling.reference": (spec.sampling.reference, 2, 65536),
+    }
+    limits |= {f"albedo[{k}]": (value, 0.0, 1.0) for k, value in enumerate(spec.albedo or ())}
+    for key, (value, low, high) in limits.items():
+        if not low <= value <= high:
+            raise BadInput(f"{path}: {key}: {value} found, {low} to {high} allowed")
+    return spec
