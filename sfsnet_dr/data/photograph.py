@@ -56,8 +56,8 @@ def inside(height: int, width: int, eyes: Eyes) -> NDArray[np.float32]:
     # A ring of zeros, so that the share falls to 0 half a pixel beyond the border and not at once.
     ones = np.pad(np.ones((height, width, 1), np.float32), ((1, 1), (1, 1), (0, 0)))
     (xl, yl), (xr, yr) = eyes
-    share: NDArray[np.float32] = _resample(ones, ((xl + 1, yl + 1), (xr + 1, yr + 1)), "constant")[..., 0]
-    return share
+    share = _resample(ones, ((xl + 1, yl + 1), (xr + 1, yr + 1)), "constant")
+    return np.ascontiguousarray(share[..., 0])
 
 
 def face_ellipse_mask() -> NDArray[np.float32]:
@@ -71,7 +71,7 @@ def face_ellipse_mask() -> NDArray[np.float32]:
     x = (fine - middle) / _HALF_WIDTH
     y = (fine - (_TOP_ROW + CHIN_ROW) / 2) / ((CHIN_ROW - _TOP_ROW) / 2)
     covered = (x[None, :] ** 2 + y[:, None] ** 2 <= 1).reshape(FACE_SIZE, 8, FACE_SIZE, 8)
-    return covered.mean((1, 3)).astype(np.float32)
+    return np.asarray(covered.mean((1, 3)), np.float32)
 
 
 def side_file(image: Path | str) -> Path:

@@ -1,0 +1,84 @@
+"""Relighting and reflection, against a sphere whose shading is known in closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from spheres import sphere_bundle
+
+from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.data.flip import flip_map, flip_normal, flip_transport, x_parity
+from sfsnet_dr.data.relight import relight, relight_batch
+from sfsnet_dr.sh.basis import sh_basis
+from sfsnet_dr.sh.coefficients import Radiance
+
+
+def test_a_relit_sphere_is_albedo_times_shading() -> None:
+    bundle = sphere_bundle(3)
+    light = Radiance(np.random.default_rng(0).normal(size=(9, 3)))
+    shading = light.to_shading().evaluate(bundle.normal.astype(np.float64))
+    expected = bundle.albedo * shading
+    # float32 storage of the transport, nine terms of size about one
+    np.testing.assert_allclose(relight(bundle.transport, light), expected, atol=2e-6)
+
+
+def test_white_light_from_everywhere_shows_the_albedo() -> None:
+    bundle = sphere_bundle(3)
+    values = np.zeros((9, 3))
+    values[0] = np.sqrt(4 * np.pi)  # radiance 1: Y_00 = 1 / sqrt(4 pi)
+    np.testing.assert_allclose(relight(bundle.transport, Radiance(values)), bundle.albedo, atol=1e-6)
+
+
+def test_the_batch_form_agrees_face_by_face() -> None:
+    bundles = [sphere_bundle(seed) for seed in range(3)]
+    lights = [Radiance(np.random.default_rng(seed).normal(size=(9, 3))) for seed in range(3)]
+    transport = torch.from_numpy(np.stack([np.moveaxis(b.transport, -1, 1) for b in bundles]))
+    radiance = torch.from_numpy(np.stack([light.values for light in lights]))
+    images = relight_batch(transport, radiance).numpy()
+    for bundle, light, image in zip(bundles, lights, images, strict=True):
+        expected = relight(bundle.transport, light)
+        np.testing.assert_allclose(np.moveaxis(image, 0, -1), expected, atol=2e-6)  # float32 sums
+    assert images.dtype == np.float32
+
+
+def test_shading_coefficients_are_refused() -> None:
+    bundle = sphere_bundle(0)
+    light = Radiance(np.ones((9, 3)))
+    with pytest.raises(TypeError, match="Radiance is needed"):
+        relight(bundle.transport, light.to_shading())  # type: ignore[arg-type]
+    with pytest.raises(BadInput, match="K=4"):
+        relight(bundle.transport, light.truncate(1))
+    with pytest.raises(BadInput, match="radiance"):
+        relight_batch(torch.zeros(2, 9, 3, 4, 4), torch.zeros(2, 3, 9))
+
+
+@pytest.mark.parametrize("order", [0, 1, 2, 8])
+def test_parity_is_that_of_the_basis(order: int) -> None:
+    directions = np.random.default_rng(0).normal(size=(50, 3))
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    mirrored = sh_basis(directions * [-1, 1, 1], order)
+    # float64 rounding of polynomials of degree 8
+    np.testing.assert_allclose(mirrored, sh_basis(directions, order) * x_parity(order), atol=1e-12)
+
+
+def test_the_reflected_face_under_the_reflected_light_is_the_reflected_picture() -> None:
+    bundle = sphere_bundle(4)
+    transport = torch.from_numpy(np.moveaxis(bundle.transport, -1, 1).copy())[None]
+    light = torch.from_numpy(np.random.default_rng(0).normal(size=(1, 9, 3)))
+    mirrored = light * torch.from_numpy(x_parity(2))[:, None]
+    picture = relight_batch(transport, light)
+    assert (picture - flip_map(picture)).abs().max() > 0.1
+    torch.testing.assert_close(
+        relight_batch(flip_transport(transport), mirrored), flip_map(picture), atol=0, rtol=0
+    )
+
+
+def test_reflected_normals_shade_as_the_reflected_transport() -> None:
+    bundle = sphere_bundle(4)
+    light = Radiance(np.random.default_rng(0).normal(size=(9, 3)))
+    normal = flip_normal(torch.from_numpy(np.moveaxis(bundle.normal, -1, 0).copy())).numpy()
+    albedo = bundle.albedo[:, ::-1]
+    expected = albedo * light.to_shading().evaluate(np.moveaxis(normal, 0, -1).astype(np.float64))
+    transport = flip_transport(torch.from_numpy(np.moveaxis(bundle.transport, -1, 1).copy())).numpy()
+    np.testing.assert_allclose(relight(np.moveaxis(transport, 1, -1), light), expected, atol=2e-6)
