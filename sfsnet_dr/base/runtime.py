@@ -141,6 +141,14 @@ def threads() -> int:
     return int(dr.thread_count())
 
 
+def set_threads(count: int) -> None:
+    """Limit Dr.Jit's pool, for processes that share the machine."""
+    start()
+    import drjit as dr
+
+    dr.set_thread_count(count)
+
+
 def llvm_version(path: Path) -> str:
     """Read a library's LLVM version without loading it into this process.
 

@@ -60,6 +60,11 @@ class SurfaceScene:
         self._parameters = mi.traverse(self.mi_scene)
         self._parameters.keep([r"surface\..*", r"environment\.data"])
 
+    def fits(self, mesh: Mesh, camera: CameraSpec) -> bool:
+        """Whether a mesh and camera can be shown by this scene without building another."""
+        counts = (len(mesh.vertices), len(mesh.faces))
+        return camera == self.camera and counts == (self._vertex_count, self._face_count)
+
     def set_mesh(self, mesh: Mesh) -> None:
         """Exchange positions, normals, albedo and the face mask; the acceleration structure follows.
 
@@ -68,7 +73,7 @@ class SurfaceScene:
         Raises:
             BadInput: if the mesh has other counts than the first one.
         """
-        if (len(mesh.vertices), len(mesh.faces)) != (self._vertex_count, self._face_count):
+        if not self.fits(mesh, self.camera):
             raise BadInput(
                 f"mesh: {len(mesh.vertices)} vertices and {len(mesh.faces)} triangles found, "
                 f"{self._vertex_count} and {self._face_count} expected; make a new SurfaceScene"

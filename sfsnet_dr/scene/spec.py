@@ -52,13 +52,11 @@ class SamplingSpec:
     """Samples a pixel.
 
     Attributes:
-        maps: for normals, albedo, mask and coverage.
-        transport: light directions for the transport.
+        transport: for the maps and the transport: one light direction each.
         reference: paths for the reference image.
         depth: greatest path depth of the reference (2 is direct light only, -1 has no limit).
     """
 
-    maps: int = 16
     transport: int = 64
     reference: int = 64
     depth: int = -1
@@ -100,7 +98,6 @@ def load_scene(path: Path | str) -> SceneSpec:
         "head.roll": (spec.head.roll, 0.0, 45.0),
         "head.scale_jitter": (spec.head.scale_jitter, 0.0, 0.5),
         "head.shift_jitter": (spec.head.shift_jitter, 0.0, 32.0),
-        "sampling.maps": (spec.sampling.maps, 1, 4096),
         "sampling.transport": (spec.sampling.transport, 1, 65536),
         "sampling.reference": (spec.sampling.reference, 2, 65536),
     }
