@@ -1,0 +1,74 @@
+"""From a function on Dr.Jit tensors to a safe torch function.
+
+``dr.wrap`` carries values and first-order gradients between torch and Dr.Jit. Left to itself it
+
+* rejects ``nn.Parameter`` and other subclasses, because it asks for the exact type ``torch.Tensor``;
+* shares memory with its inputs unseen by torch, so that a tensor changed in place between the forward and
+  the backward pass gives a wrong gradient without a word;
+* answers ``create_graph=True`` with gradients that carry no graph, so that a second derivative silently
+  counts as zero.
+
+``from_torch`` closes these three gaps. Forward-mode derivatives are not offered.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, cast
+
+import torch
+from torch import Tensor
+
+from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.render.jit import dr
+
+
+class _FirstOrder(torch.autograd.Function):
+    """The identity on a wrapped result; its backward pass refuses what ``dr.wrap`` would get wrong."""
+
+    @staticmethod
+    def forward(ctx: Any, result: Tensor, *inputs: Tensor) -> Tensor:
+        # Saved for torch's check of in-place changes only; Dr.Jit keeps its own view of the same memory.
+        ctx.save_for_backward(*inputs)
+        return result.view_as(result)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
+        if torch.is_grad_enabled():
+            raise RuntimeError(
+                "the Dr.Jit renderer has first-order derivatives only, create_graph=True was asked of it; "
+                "use the torch form for second derivatives"
+            )
+        inputs = ctx.saved_tensors
+        return (grads[0].contiguous(), *(None for _ in inputs))
+
+
+def from_torch(kernel: Callable[..., Any]) -> Callable[..., Tensor]:
+    """Make a function of Dr.Jit tensors callable with torch tensors, differentiable once, backwards.
+
+    Args:
+        kernel: takes Dr.Jit tensors, returns one Dr.Jit tensor. It must not contain symbolic loops.
+
+    Returns:
+        The same function on torch CPU tensors of one dtype, float32 or float64. It may be called, and
+        differentiated, from any thread. Only inputs that require gradients get them.
+
+        Raises BadInput for a tensor that is not on the CPU, and RuntimeError in the backward pass if
+        second derivatives are asked for or an input was changed in place.
+    """
+    wrapped = dr.wrap(source="torch", target="drjit")(kernel)
+
+    def call(*inputs: Tensor) -> Tensor:
+        plain = [_plain(x) for x in inputs]
+        result = _FirstOrder.apply(wrapped(*plain), *(x.detach() for x in plain))  # type: ignore[no-untyped-call]
+        return cast(Tensor, result)
+
+    return call
+
+
+def _plain(x: Tensor) -> Tensor:
+    if x.device.type != "cpu":
+        raise BadInput(
+            f'tensor on {x.device} found, the Dr.Jit LLVM renderer needs "cpu"; use backend="torch"'
+        )
+    return x.as_subclass(Tensor).contiguous()
