@@ -29,7 +29,7 @@ def equirect_directions(height: int, width: int) -> NDArray[np.float64]:
     """Unit directions of the texel centres, (H, W, 3); see the module's convention.
 
     Raises:
-        BadInput: if the image would be smaller than 2 x 3.
+        BadInput: if the image would be smaller than 3 x 3.
     """
     _check_size(height, width)
     theta = np.pi * np.arange(height) / (height - 1)
@@ -53,7 +53,7 @@ def project_equirect(image: ArrayLike, order: int) -> Radiance:
     cosine or sine of the column, so that rows and columns are integrated apart; the result is then turned.
 
     Args:
-        image: (H, W, 3) linear radiance, at least 2 x 3; finite.
+        image: (H, W, 3) linear radiance, at least 3 x 3; finite.
         order: 0 to 8.
 
     Returns:
@@ -103,8 +103,9 @@ def project_directional(direction: ArrayLike, irradiance: ArrayLike, order: int)
 
 
 def _check_size(height: int, width: int) -> None:
-    if height < 2 or width < 3:
-        raise BadInput(f"environment map: {height} x {width} found, at least 2 rows x 3 columns expected")
+    # Of fewer rows Mitsuba makes three by a resampling of its own.
+    if height < 3 or width < 3:
+        raise BadInput(f"environment map: {height} x {width} found, at least 3 x 3 expected")
 
 
 def _row_integrals(height: int, order: int) -> NDArray[np.float64]:
