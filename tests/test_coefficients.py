@@ -62,7 +62,7 @@ def test_lights_add_and_scale() -> None:
 def test_the_two_forms_do_not_mix() -> None:
     radiance = Radiance(random_values())
     with pytest.raises(TypeError, match=r"Radiance \+ Shading"):
-        radiance + radiance.to_shading()
+        radiance + radiance.to_shading()  # type: ignore[operator]
     with pytest.raises(TypeError, match=r"Shading \* Radiance"):
         radiance.to_shading() * radiance
     with pytest.raises(BadInput, match="orders 2 and 3"):

@@ -57,7 +57,7 @@ def test_integrates_what_mitsuba_evaluates(height: int, width: int) -> None:
 
 
 def test_texel_centres_are_mitsubas() -> None:
-    """At a centre, bilinear interpolation gives the texel itself; at the poles all columns meet, so not there."""
+    """At a centre, interpolation gives the texel itself; not at the poles, where all columns meet."""
     image = np.random.default_rng(0).random((6, 9, 3))
     centres = equirect_directions(6, 9)[1:-1].reshape(-1, 3)
     # A float32 direction moves the sample by up to 1e-6 of the image, 1e-5 of a texel.
@@ -85,7 +85,7 @@ def test_uniform_map_is_the_constant_alone() -> None:
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_light_from_an_axis_has_its_linear_term(axis: int, sign: int) -> None:
-    """Brightness that grows toward an axis has its first moment in that axis's coefficient (order z, x, y)."""
+    """Brightness that grows toward an axis has its first moment in that axis's coefficient."""
     image = np.clip(sign * equirect_directions(33, 64)[..., axis], 0, None)[..., None] * np.ones(3)
     linear = project_equirect(image, 1).values[1:, 0]
     assert np.argmax(sign * linear) == [1, 2, 0][axis]

@@ -74,7 +74,7 @@ class _Coefficients:
         """The expansion at unit directions or normals (..., 3): (..., 3) colours, possibly negative."""
         return np.asarray(sh_basis(directions, self.order) @ self.values)
 
-    def __add__(self, other: object) -> Self:
+    def __add__(self, other: Self) -> Self:
         """Both lights together. Radiance and shading, or two orders, do not add: TypeError, BadInput."""
         if not isinstance(other, type(self)):
             raise TypeError(f"{type(self).__name__} + {type(other).__name__}: convert one of them first")
