@@ -47,7 +47,7 @@ def gradients(
     render: Callable[..., Tensor], inputs: list[Array], weight: Array, dtype: torch.dtype
 ) -> list[Array]:
     tensors = [torch.tensor(a, dtype=dtype, requires_grad=True) for a in inputs]
-    (render(*tensors) * torch.tensor(weight, dtype=dtype)).sum().backward()
+    torch.autograd.backward((render(*tensors) * torch.tensor(weight, dtype=dtype)).sum())
     # Order 0 does not depend on normals: torch then leaves their gradient out.
     return [np.zeros(t.shape) if t.grad is None else t.grad.double().numpy() for t in tensors]
 

@@ -5,14 +5,16 @@
 * rejects ``nn.Parameter`` and other subclasses, because it asks for the exact type ``torch.Tensor``;
 * shares memory with its inputs unseen by torch, so that a tensor changed in place between the forward and
   the backward pass gives a wrong gradient without a word;
+* keeps the shape of its result in a global variable, so that two threads that call it at once fail;
 * answers ``create_graph=True`` with gradients that carry no graph, so that a second derivative silently
   counts as zero.
 
-``from_torch`` closes these three gaps. Forward-mode derivatives are not offered.
+``from_torch`` closes these gaps. Forward-mode derivatives are not offered.
 """
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from typing import Any, cast
 
@@ -21,6 +23,9 @@ from torch import Tensor
 
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.render.jit import dr
+
+#: Held while ``dr.wrap`` runs forwards, see above. Backward passes need no lock.
+_LOCK = threading.Lock()
 
 
 class _FirstOrder(torch.autograd.Function):
@@ -60,7 +65,9 @@ def from_torch(kernel: Callable[..., Any]) -> Callable[..., Tensor]:
 
     def call(*inputs: Tensor) -> Tensor:
         plain = [_plain(x) for x in inputs]
-        result = _FirstOrder.apply(wrapped(*plain), *(x.detach() for x in plain))  # type: ignore[no-untyped-call]
+        with _LOCK:
+            output = wrapped(*plain)
+        result = _FirstOrder.apply(output, *(x.detach() for x in plain))  # type: ignore[no-untyped-call]
         return cast(Tensor, result)
 
     return call
@@ -68,7 +75,5 @@ def from_torch(kernel: Callable[..., Any]) -> Callable[..., Tensor]:
 
 def _plain(x: Tensor) -> Tensor:
     if x.device.type != "cpu":
-        raise BadInput(
-            f'tensor on {x.device} found, the Dr.Jit LLVM renderer needs "cpu"; use backend="torch"'
-        )
+        raise BadInput(f"tensor on {x.device} found, cpu expected by the Dr.Jit form; use the torch form")
     return x.as_subclass(Tensor).contiguous()

@@ -1,0 +1,58 @@
+"""The photometric reconstruction loss, one interface for its Dr.Jit kernel and its torch twin."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from torch import Tensor
+
+from sfsnet_dr.base.checks import BadInput, check_shape, nearest
+from sfsnet_dr.render.shading_inputs import COLOURS
+from sfsnet_dr.render.shading_torch import match
+
+Backend = Literal["drjit", "torch"]
+
+
+def reconstruction_l1(
+    normal: Tensor,
+    albedo: Tensor,
+    light: Tensor,
+    image: Tensor,
+    mask: Tensor,
+    *,
+    backend: Backend = "drjit",
+) -> Tensor:
+    """Masked mean of |image - f_render(normal, albedo, light)| over pixels and colours.
+
+    The paper (appendix, E_recon) sums over the pixels of the face; this divides by their number, so that
+    the value does not depend on the size of an image, a face or a batch:
+    sum mask |image - f_render| / max(3 sum mask, 1).
+
+    Args:
+        normal: (B, 3, H, W), any length: they are normalised here. Batches of 1 broadcast here, in
+            albedo and in light.
+        albedo: (B, 3, H, W), linear.
+        light: shading coefficients (B, 3K), order 0 to 4.
+        image: (B, 3, H, W), linear. A constant: it gets no gradient.
+        mask: (B, 1, H, W), weights from 0 to 1. A constant: it gets no gradient.
+        backend: ``"drjit"`` (CPU, first derivatives) or ``"torch"`` (any device, any derivative).
+
+    Returns:
+        Scalar tensor; float64 if normal, albedo or light is, else float32. It is 0 for an empty mask. The
+        gradient of |x| at 0 is 0. NaN anywhere, masked out or not, gives NaN.
+
+    Raises:
+        BadInput: naming the argument whose shape does not fit, or an unknown backend.
+    """
+    normal, albedo, light = match(normal, albedo, light)
+    sizes = {"B": normal.shape[0], "H": normal.shape[2], "W": normal.shape[3]}
+    check_shape("image", image, "B 3 H W", **sizes)
+    check_shape("mask", mask, "B 1 H W", **sizes)
+    image, mask = image.detach().to(normal.dtype), mask.detach().to(normal.dtype)
+    if backend == "drjit":
+        from sfsnet_dr.loss.reconstruction_drjit import masked_l1_sum
+    elif backend == "torch":
+        from sfsnet_dr.loss.reconstruction_torch import masked_l1_sum
+    else:
+        raise BadInput(f"backend: {backend!r} found; {nearest(str(backend), ('drjit', 'torch'))}")
+    return masked_l1_sum(normal, albedo, light, image, mask) / (COLOURS * mask.sum()).clamp_min(1)

@@ -1,0 +1,83 @@
+"""The four terms of SfSNet's training loss.
+
+Source: Sengupta et al., CVPR 2018, section 3.2, E = .5 E_recon + .5 E_N + .5 E_A + .1 E_L: L1 over the pixels
+of the face for reconstruction, normals and albedo, L2 over the 27 light coefficients.
+
+Departure: the paper writes sums over pixels and leaves the normalisation of E_L open. Here every term is the
+mean over the numbers that it counts (for E_L the mean of the squared differences of B x 27 coefficients), so
+that the weights mean the same for any image size, face size and batch size.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from torch import Tensor
+
+from sfsnet_dr.base.checks import check_shape
+from sfsnet_dr.base.conventions import LIGHT_SIZE
+from sfsnet_dr.data.batch import FaceBatch
+from sfsnet_dr.loss.reconstruction import Backend, reconstruction_l1
+from sfsnet_dr.model.outputs import Decomposition
+
+
+@dataclass(frozen=True)
+class LossWeights:
+    """Weights of the four terms; the defaults are the paper's lambdas."""
+
+    recon: float = 0.5
+    normal: float = 0.5
+    albedo: float = 0.5
+    light: float = 0.1
+
+
+class LossTerms(NamedTuple):
+    """Scalar tensors: the weighted total, and the four terms before weighting."""
+
+    total: Tensor
+    recon: Tensor
+    normal: Tensor
+    albedo: Tensor
+    light: Tensor
+
+
+def sfsnet_loss(
+    prediction: Decomposition,
+    target: FaceBatch,
+    weights: LossWeights | None = None,
+    backend: Backend = "drjit",
+) -> LossTerms:
+    """The paper's total loss, eq. 2, with its terms.
+
+    Args:
+        prediction: what the network gave; half precision is raised to float32 here.
+        target: ground truth or pseudo-labels; constants, they get no gradient.
+        weights: the paper's if none are given.
+        backend: who computes the reconstruction term, see ``reconstruction_l1``.
+
+    Raises:
+        BadInput: naming the field whose shape does not fit.
+    """
+    weights = weights or LossWeights()
+    target.check()
+    batch, _, height, width = target.image.shape
+    check_shape("prediction.normal", prediction.normal, "B 3 H W", B=batch, H=height, W=width)
+    check_shape("prediction.albedo", prediction.albedo, "B 3 H W", B=batch, H=height, W=width)
+    check_shape("prediction.light", prediction.light, f"B {LIGHT_SIZE}", B=batch)
+    recon = reconstruction_l1(*prediction, target.image, target.mask, backend=backend)
+    normal = masked_l1(prediction.normal, target.normal, target.mask)
+    albedo = masked_l1(prediction.albedo, target.albedo, target.mask)
+    light = (_at_least_float32(prediction.light) - target.light.detach()).square().mean()
+    total = weights.recon * recon + weights.normal * normal + weights.albedo * albedo + weights.light * light
+    return LossTerms(total, recon, normal, albedo, light)
+
+
+def masked_l1(predicted: Tensor, target: Tensor, mask: Tensor) -> Tensor:
+    """sum mask |predicted - target| / max(C sum mask, 1) over (B, C, H, W) with mask (B, 1, H, W)."""
+    difference = (_at_least_float32(predicted) - target.detach()).abs()
+    return (mask.detach() * difference).sum() / (predicted.shape[1] * mask.detach().sum()).clamp_min(1)
+
+
+def _at_least_float32(tensor: Tensor) -> Tensor:
+    return tensor if tensor.element_size() >= 4 else tensor.float()
