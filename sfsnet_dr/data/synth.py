@@ -30,7 +30,7 @@ FACES_PER_WORKER = 200
 
 _LIGHT_STREAM = 16  # random stream of a seed's light, apart from those of its face
 
-_scene: SurfaceScene | None = None  # one per process: building it anew would compile and upload everything again
+_scene: SurfaceScene | None = None  # one per process: another would compile and upload all anew
 
 
 def synthesize(
@@ -143,7 +143,5 @@ def _mapper(workers: int) -> Iterator[_Runner]:
         return
     context = multiprocessing.get_context("spawn")
     threads = max(1, (multiprocessing.cpu_count() or 1) // workers)
-    with context.Pool(
-        workers, runtime.set_threads, (threads,), maxtasksperchild=FACES_PER_WORKER
-    ) as pool:
+    with context.Pool(workers, runtime.set_threads, (threads,), maxtasksperchild=FACES_PER_WORKER) as pool:
         yield pool.imap

@@ -16,7 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sfsnet_dr.base.checks import BadInput
-from sfsnet_dr.scene.mitsuba_scene import SurfaceScene, albedo_at, camera_rays, dr, face_at, mi
+from sfsnet_dr.scene.jit import dr, mi
+from sfsnet_dr.scene.mitsuba_scene import SurfaceScene, albedo_at, camera_rays, face_at
 from sfsnet_dr.sh.polynomials import sh_polynomials
 
 Image = npt.NDArray[np.float32]
@@ -80,7 +81,7 @@ def capture(scene: SurfaceScene, samples: int, seed: int) -> Capture:
 
 
 @dr.syntax
-def _accumulate(scene: SurfaceScene, pixel: mi.UInt32, samples: mi.UInt32, seed: mi.UInt32):  # type: ignore[no-untyped-def]
+def _accumulate(scene: SurfaceScene, pixel: mi.UInt32, samples: mi.UInt32, seed: mi.UInt32) -> Sums:
     """Sums over the samples of each pixel: normal, albedo, hits, face hits, and the 27 transport values."""
     shift = _shifts(pixel, seed)
     sums = _zeros(dr.width(pixel))

@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sfsnet_dr.base.checks import BadInput
-from sfsnet_dr.scene.mitsuba_scene import SurfaceScene, camera_rays, dr, mi
+from sfsnet_dr.scene.jit import dr, mi
+from sfsnet_dr.scene.mitsuba_scene import SurfaceScene, camera_rays
 
 Image = npt.NDArray[np.float64]
 

@@ -52,7 +52,7 @@ class HeadModel:
         groups: (V,) index into ``SURFACE_GROUPS``.
         uv: (V, 2) MakeHuman texture coordinates, v up.
         macro_names, macro: (M,) components joined by "-", and (M, V + 2, 3) phenotype offsets.
-        local_names, local: (L,) names of the positive ends, and (L, 2, V + 2, 3) positive and negative offsets.
+        local_names, local: (L,) names of the positive ends, (L, 2, V + 2, 3) positive and negative offsets.
         action_names, actions: (E,) face units and (E, V + 2, 3) offsets.
     """
 

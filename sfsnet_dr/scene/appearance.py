@@ -56,25 +56,23 @@ def skin_albedo(weights: RegionWeights, rng: np.random.Generator) -> Array:
     flush = rng.uniform(0.0, 0.8) * _cheeks(position) * (1.0 + 0.3 * band_noise(position, rng, 1.0, 3.0))
     albedo = _mix(albedo, albedo * _BLOOD, np.clip(flush, 0.0, 1.0))
     albedo = _mix(albedo, albedo * rng.uniform(0.6, 0.95), weights.eyelid)
-    lips = base * _BLOOD**rng.uniform(1.0, 3.0) * rng.uniform(0.6, 0.95)
-    albedo = _mix(albedo, np.tile(lips, (len(position), 1)), weights.lips)
+    lips = base * _BLOOD ** rng.uniform(1.0, 3.0) * rng.uniform(0.6, 0.95)
+    albedo = _mix(albedo, lips, weights.lips)
     hair = _between(HAIR, min(rng.exponential(0.6), len(HAIR) - 1.0))
     strands = hair * (1.0 + 0.25 * band_noise(position, rng, 6.0, 20.0)[:, None])
     albedo = _mix(albedo, strands, weights.brow * rng.uniform(0.45, 0.95))
     albedo = _mix(albedo, strands, weights.scalp * rng.choice([0.95, 0.95, 0.95, 0.15]))
-    albedo = _mix(albedo, np.tile(MOUTH, (len(position), 1)), np.maximum(weights.mouth_inside, weights.tongue))
-    albedo = _mix(albedo, np.tile(TEETH, (len(position), 1)), weights.teeth)
+    albedo = _mix(albedo, MOUTH, np.maximum(weights.mouth_inside, weights.tongue))
+    albedo = _mix(albedo, TEETH, weights.teeth)
     return np.clip(_eyes(albedo, weights, rng), 0.004, 0.9)
 
 
 def _eyes(albedo: Array, weights: RegionWeights, rng: np.random.Generator) -> Array:
     iris = IRIS[rng.choice(len(IRIS), p=(0.6, 0.25, 0.15))] * rng.uniform(0.6, 1.5)
-    albedo = _mix(albedo, np.tile(EYE_WHITE, (len(albedo), 1)), weights.eyeball)
+    albedo = _mix(albedo, EYE_WHITE, weights.eyeball)
     angle = weights.gaze_angle
-    albedo = _mix(albedo, np.tile(iris, (len(albedo), 1)), smoothstep(IRIS_DEGREES + 2, IRIS_DEGREES - 2, angle))
-    return _mix(
-        albedo, np.tile(PUPIL, (len(albedo), 1)), smoothstep(PUPIL_DEGREES + 1.5, PUPIL_DEGREES - 1.5, angle)
-    )
+    albedo = _mix(albedo, iris, smoothstep(IRIS_DEGREES + 2, IRIS_DEGREES - 2, angle))
+    return _mix(albedo, PUPIL, smoothstep(PUPIL_DEGREES + 1.5, PUPIL_DEGREES - 1.5, angle))
 
 
 def _cheeks(position: Array) -> Array:

@@ -85,7 +85,7 @@ def sample_face(seed: int, spec: SceneSpec) -> Face:
     shared = topology(spec.head.subdivision)
     coarse = sample_shape(seed, spec)
     vertices = np.asarray(shared.refine @ coarse[:-2])
-    eyes = coarse[-2:] + (0.0, 0.0, _EYE_SURFACE)
+    eyes = coarse[-2:] + np.array([0.0, 0.0, _EYE_SURFACE])
     points = np.vstack([eyes, vertices])
     pose = Pose.sample(_stream(seed, _POSE), spec.head)
     placed = place(points, eyes, pose, spec.camera)
@@ -126,7 +126,7 @@ def _paired(names: tuple[str, ...], rng: np.random.Generator, strength: float) -
         shared = common.setdefault(stem, float(rng.normal()))
         values[k] = shared + 0.2 * float(rng.normal()) if stem != name else shared
         if "trans-out" in name or "trans-in" in name:
-            values[k] *= 0.3 if stem == name else 1.0  # unpaired sideways shifts make a crooked face
+            values[k] *= 0.3 if stem == name else 0.5  # sideways shifts make a crooked or wide-eyed face
     return np.clip(strength * values, -1.0, 1.0)
 
 

@@ -79,7 +79,9 @@ def region_weights(model: HeadModel, refine: sparse.csr_matrix) -> RegionWeights
     neutral = np.asarray(refine @ model.template[:-2])
     group = {name: np.asarray(refine @ (model.groups == k)) for k, name in enumerate(SURFACE_GROUPS)}
     body = group["body"]
-    mask = {name: np.asarray(refine @ (_sample_mask(name, model.uv) * (model.groups == 0))) for name in _MASKS}
+    mask = {
+        name: np.asarray(refine @ (_sample_mask(name, model.uv) * (model.groups == 0))) for name in _MASKS
+    }
     eyeballs = group["helper-r-eye"] + group["helper-l-eye"]
     return RegionWeights(
         neutral=neutral,

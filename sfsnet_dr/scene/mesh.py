@@ -12,6 +12,7 @@ from sfsnet_dr.base.checks import BadInput, check_shape
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.uint32]
+Colour = tuple[float, float, float]
 
 
 class Region(IntEnum):
@@ -61,7 +62,7 @@ class Mesh:
             check_shape(f"Mesh.{name}", getattr(self, name), "V 3", V=count)
         check_shape("Mesh.regions", self.regions, "V", V=count)
         if self.faces.size and int(self.faces.max()) >= count:
-            raise BadInput(f"Mesh.faces: index {int(self.faces.max())} found, below {count} (vertices) allowed")
+            raise BadInput(f"Mesh.faces: index {int(self.faces.max())} found, below {count} allowed")
         if not np.isfinite(self.vertices).all():
             raise BadInput("Mesh.vertices: NaN or inf found, finite positions allowed")
 
@@ -92,7 +93,7 @@ def vertex_normals(vertices: Array, faces: Indices) -> Array:
     return np.where(length > 1e-20, summed / np.maximum(length, 1e-30), (0.0, 0.0, 1.0))
 
 
-def sphere(radius: float = 0.9, albedo: tuple[float, float, float] = (0.5, 0.5, 0.5), rings: int = 96) -> Mesh:
+def sphere(radius: float = 0.9, albedo: Colour = (0.5, 0.5, 0.5), rings: int = 96) -> Mesh:
     """A latitude-longitude sphere about the origin with exact normals.
 
     With 96 rings the facets lie at most 0.03 % of the radius inside the sphere.
@@ -110,7 +111,7 @@ def sphere(radius: float = 0.9, albedo: tuple[float, float, float] = (0.5, 0.5, 
     return _uniform(radius * normals, faces, normals, albedo)
 
 
-def plane(size: float = 4.0, albedo: tuple[float, float, float] = (0.5, 0.5, 0.5)) -> Mesh:
+def plane(size: float = 4.0, albedo: Colour = (0.5, 0.5, 0.5)) -> Mesh:
     """A square in z = 0 that faces the viewer. ``size`` is its edge in scene units (the view is 2 wide)."""
     half = size / 2
     vertices = np.array([[-half, -half, 0.0], [half, -half, 0.0], [half, half, 0.0], [-half, half, 0.0]])
@@ -123,7 +124,7 @@ def triangulate(quads: Indices) -> Indices:
     return np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]).astype(np.uint32)
 
 
-def _uniform(vertices: Array, faces: Indices, normals: Array, albedo: tuple[float, float, float]) -> Mesh:
+def _uniform(vertices: Array, faces: Indices, normals: Array, albedo: Colour) -> Mesh:
     count = len(vertices)
     return Mesh(
         vertices=vertices,

@@ -12,15 +12,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sfsnet_dr.base import runtime
 from sfsnet_dr.base.checks import BadInput, check_shape
+from sfsnet_dr.scene.jit import dr, mi
 from sfsnet_dr.scene.mesh import FACE_REGIONS, Mesh
 from sfsnet_dr.scene.spec import CameraSpec
-
-runtime.start()
-
-import drjit as dr  # noqa: E402  (the variant must be chosen first)
-import mitsuba as mi  # noqa: E402
 
 Array = npt.NDArray[np.float64]
 
@@ -91,14 +86,16 @@ class SurfaceScene:
         full = np.broadcast_to(np.asarray(image, dtype=np.float32), (*ENVIRONMENT_SIZE, 3))
         check_shape("environment", full, f"{ENVIRONMENT_SIZE[0]} {ENVIRONMENT_SIZE[1]} 3")
         if not np.isfinite(full).all() or full.min() < 0:
-            raise BadInput("environment: NaN, inf or negative radiance found, finite values of at least 0 allowed")
+            raise BadInput(
+                "environment: NaN, inf or negative radiance found, finite values from 0 on allowed"
+            )
         wrapped = np.concatenate([full[:, -1:], full, full[:, :1]], axis=1)
         self._parameters["environment.data"] = mi.TensorXf(wrapped)
         self._parameters.update()
 
 
 def camera_rays(camera: CameraSpec, pixel: mi.UInt32, offset: mi.Point2f) -> mi.Ray3f:
-    """Rays through points of pixels: index row * size + column, offset in [0, 1)^2 from the upper left corner."""
+    """Rays through pixels, numbered row * size + column, at offsets in [0, 1)^2 from the upper left."""
     size = dr.opaque(mi.Float, camera.size)
     distance = dr.opaque(mi.Float, camera.distance)
     column, row = mi.Float(pixel % camera.size), mi.Float(pixel // camera.size)

@@ -1,4 +1,4 @@
-"""Brings a head into the canonical face frame: turned, then scaled and shifted until its eyes are in place."""
+"""Brings a head into the canonical face frame: turned, then moved until its eyes are in place."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def place(points: Array, eyes: Array, pose: Pose, camera: CameraSpec) -> Array:
 
 
 def _eye_target(pose: Pose) -> npt.NDArray[np.complex128]:
-    """The two eye centres (as x + i y, y down) after the pose's roll, scale and shift about the image centre."""
+    """Both eye centres (x + i y, y down) after the pose's roll, scale and shift about the image centre."""
     centre = complex(FACE_SIZE / 2, FACE_SIZE / 2)
     eyes = np.array([complex(*EYE_IMAGE_LEFT), complex(*EYE_IMAGE_RIGHT)])
     turned = (eyes - centre) * pose.scale * np.exp(-1j * np.radians(pose.roll))

@@ -87,4 +87,6 @@ def _vertex_points(
     both_rim = np.concatenate([rim, rim[:, ::-1]])
     on_rim = np.bincount(rim.ravel(), minlength=count) > 0
     outer = 0.75 * identity + 0.25 * _average(both_rim[:, 0], both_rim[:, 1], count, count)
-    return sparse.diags((~on_rim).astype(np.float64)) @ inner + sparse.diags(on_rim.astype(np.float64)) @ outer
+    return (
+        sparse.diags((~on_rim).astype(np.float64)) @ inner + sparse.diags(on_rim.astype(np.float64)) @ outer
+    )
