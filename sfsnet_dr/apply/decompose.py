@@ -1,0 +1,91 @@
+"""Photographs in, normals, albedo, light and relit views out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import nn
+
+from sfsnet_dr.apply.outputs import Decomposed, write_decomposed
+from sfsnet_dr.apply.picture import Picture, read_picture
+from sfsnet_dr.base import provenance
+from sfsnet_dr.base.atomic import output_dir
+from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.data.photograph import Eyes
+from sfsnet_dr.metrics.image import mae_8bit
+from sfsnet_dr.model.predict import predict
+from sfsnet_dr.model.weights import load_weights
+from sfsnet_dr.render.shading_numpy import shading
+from sfsnet_dr.sh.coefficients import Shading
+
+
+def decompose(
+    images: Sequence[Path],
+    out: Path | str,
+    weights: Path | str,
+    *,
+    eyes: Eyes | None = None,
+    mask: Path | None = None,
+) -> list[Decomposed]:
+    """Decompose photographs and write a folder for each: pictures, a sheet of them and one EXR.
+
+    Everything is read and checked before anything is written; a face's folder is written whole or not at all.
+
+    Args:
+        images: at least one, with different names; see ``read_picture`` for what is allowed.
+        out: folder that is made if it is missing; the files of NAME.png go to out/NAME.
+        weights: file of ``save_weights``.
+        eyes: eye centres in pixels that hold for every image; side files and canonical pictures if None.
+        mask: mask picture that holds for every image; an ellipse if None.
+
+    Raises:
+        BadInput: naming the file that is wrong, what was found and what is allowed.
+    """
+    if not images:
+        raise BadInput("images: none given, one at least is needed")
+    names = [Path(path).stem for path in images]
+    for name in names:
+        if names.count(name) > 1:
+            raise BadInput(f"images: {names.count(name)} are called {name!r}, and would share a folder")
+    model = load_weights(weights)
+    read = [read_picture(path, eyes, mask) for path in images]
+    folder = output_dir(out)
+    faces = take_apart(model, read)
+    metadata = {"sfsnet_dr:weights_sha256": provenance.sha256(Path(weights))}
+    for face in faces:
+        write_decomposed(folder, face, metadata)
+    return faces
+
+
+def take_apart(model: nn.Module, read: Sequence[Picture]) -> list[Decomposed]:
+    """Run the network on pictures of the canonical frame; writes nothing."""
+    batch = torch.from_numpy(np.stack([np.moveaxis(picture.image, -1, 0) for picture in read]))
+    result = predict(model, batch)
+    normal, albedo, light = (part.double().numpy() for part in result)
+    shade = shading(normal, light)
+    maps = [np.moveaxis(part, 1, -1) for part in (normal, albedo, shade, albedo * shade)]
+    return [
+        Decomposed(
+            name=picture.name,
+            image=picture.image,
+            mask=picture.mask,
+            normal=maps[0][index],
+            albedo=maps[1][index],
+            light=Shading.from_flat(light[index]),
+            shading=maps[2][index],
+            reconstruction=maps[3][index],
+        )
+        for index, picture in enumerate(read)
+    ]
+
+
+def reconstruction_error(face: Decomposed) -> float:
+    """Mean absolute difference of reconstruction and input on the face, 8-bit sRGB units.
+
+    It says how well the three parts explain the picture, not whether they are right: a wrong albedo with the
+    inverse wrong shading reconstructs perfectly.
+    """
+    return mae_8bit(face.reconstruction, face.image, face.mask)

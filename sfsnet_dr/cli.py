@@ -1,0 +1,67 @@
+"""The ``sfsnet-dr`` command: which command is meant, how it ends, and what goes to standard output.
+
+Bad input ends with one line on standard error and exit code 2, failed work with one line and exit code 1, an
+interrupt with 130. With ``--json`` standard output holds a JSON array of records (for ``doctor``: its report)
+and nothing else; whatever a library prints goes to standard error.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from contextlib import nullcontext
+
+import tyro
+
+from sfsnet_dr.base.checks import BadInput, WorkFailed, nearest
+from sfsnet_dr.base.streams import standard_output_to_error
+from sfsnet_dr.commands import COMMANDS, Command
+
+
+def overview() -> str:
+    """What `sfsnet-dr` alone prints."""
+    rows = "\n".join(f"  {name:<10} {line}" for name, (_, line) in COMMANDS.items())
+    return (
+        f"Physically based inverse rendering of faces.\n\nusage: sfsnet-dr COMMAND ...\n\n{rows}\n\n"
+        "`sfsnet-dr COMMAND --help` explains a command. Start with `sfsnet-dr doctor`, then `sfsnet-dr demo`."
+    )
+
+
+def parse(argv: Sequence[str]) -> Command:
+    """The command that the arguments name.
+
+    Raises:
+        BadInput: for an unknown command.
+        SystemExit: with code 2 and tyro's explanation for wrong arguments of a command, with 0 for --help.
+    """
+    name, *rest = argv
+    if name not in COMMANDS:
+        raise BadInput(f"command {name!r} found; {nearest(name, COMMANDS)}")
+    return tyro.cli(
+        COMMANDS[name][0], prog=f"sfsnet-dr {name}", args=rest, config=(tyro.conf.FlagCreatePairsOff,)
+    )
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code."""
+    argv = sys.argv[1:] if argv is None else argv
+    if not argv or argv[0] in ("-h", "--help", "help"):
+        print(overview())
+        return 0
+    try:
+        command = parse(argv)
+        with standard_output_to_error() if command.as_json else nullcontext():
+            result = command.run()
+        print(result.json if command.as_json else result.text)
+        return result.code
+    except BadInput as error:
+        return _fail(error, 2)
+    except WorkFailed as error:
+        return _fail(error, 1)
+    except KeyboardInterrupt:
+        return _fail("interrupted", 130)
+
+
+def _fail(error: object, code: int) -> int:
+    print("sfsnet-dr: " + str(error).replace("\n", " "), file=sys.stderr)
+    return code

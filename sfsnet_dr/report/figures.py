@@ -1,0 +1,201 @@
+"""Plots for pages, as PNG bytes. They read numbers that were measured elsewhere and measure nothing."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+from numpy.typing import NDArray
+
+INK, SOFT, GRID = "#1c2024", "#5d666f", "#e3e6ea"
+
+#: Colours that stay apart for colour-blind readers and in grey (Okabe and Ito, yellow left out).
+PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
+
+_STYLE: dict[Any, Any] = {
+    "font.size": 11,
+    "axes.edgecolor": SOFT,
+    "axes.labelcolor": SOFT,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": GRID,
+    "xtick.color": SOFT,
+    "ytick.color": SOFT,
+    "text.color": INK,
+    "lines.linewidth": 1.8,
+    "figure.facecolor": "white",
+}
+
+
+@dataclass(frozen=True)
+class TimedError:
+    """One renderer's place in the plot of error against time.
+
+    Attributes:
+        name: label beside the point.
+        group: points of one group share a colour and are joined in the order of their time.
+        seconds: time of one image, positive.
+        error: relative error, positive.
+        interval: ends of the error's interval, or None.
+    """
+
+    name: str
+    group: str
+    seconds: float
+    error: float
+    interval: tuple[float, float] | None = None
+
+
+def loss_curve(steps: Sequence[int], terms: Mapping[str, Sequence[float]], *, window: int = 0) -> bytes:
+    """Losses over training steps on a logarithmic axis: each value faint, a running mean on top.
+
+    Args:
+        steps: step numbers, (N,).
+        terms: name -> losses (N,), positive; the first one is drawn strongest.
+        window: steps of the running mean; 0 takes a twentieth of the run.
+    """
+    window = window or max(1, len(steps) // 20)
+    with matplotlib.rc_context(_STYLE):
+        figure, axes = _axes(6.8, 4.0)
+        axes.set_yscale("log")
+        ends = []
+        for index, (name, values) in enumerate(terms.items()):
+            colour = PALETTE[index % len(PALETTE)]
+            smooth = running_mean(np.asarray(values, dtype=np.float64), window)
+            axes.plot(steps, values, color=colour, alpha=0.18, linewidth=0.8)
+            axes.plot(steps, smooth, color=colour, linewidth=2.6 if index == 0 else 1.6)
+            ends.append((float(smooth[-1]), name, colour))
+        axes.set_xlim(steps[0], steps[-1])
+        axes.set_xlabel("training step")
+        axes.set_ylabel("loss")
+        _plain_log(axes.yaxis, "{:g}".format)
+        _label_ends(axes, ends)
+        return _png(figure)
+
+
+def error_vs_time(points: Sequence[TimedError], *, error_label: str = "relative RMS error") -> bytes:
+    """Error against time of one image, both logarithmic; down and to the left is better."""
+    with matplotlib.rc_context(_STYLE):
+        figure, axes = _axes(6.8, 4.4)
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        for index, group in enumerate(dict.fromkeys(point.group for point in points)):
+            mine = sorted((p for p in points if p.group == group), key=lambda p: p.seconds)
+            x, y = [p.seconds for p in mine], [p.error for p in mine]
+            colour = PALETTE[index % len(PALETTE)]
+            axes.errorbar(
+                x, y, yerr=_bars(mine), color=colour, marker="o", markersize=7, capsize=3, linewidth=1.4,
+                label=group,
+            )  # fmt: skip
+            for point in mine:
+                axes.annotate(
+                    point.name, (point.seconds, point.error), xytext=(8, 6), textcoords="offset points",
+                    size=9.5, color=colour,
+                )  # fmt: skip
+        axes.margins(x=0.16, y=0.14)
+        axes.set_xlabel("time of one image")
+        axes.set_ylabel(error_label)
+        _plain_log(axes.xaxis, _time)
+        _plain_log(axes.yaxis, lambda ratio: f"{100 * ratio:g} %")
+        axes.legend(frameon=False, fontsize=10, labelcolor=INK)
+        return _png(figure)
+
+
+def error_map(values: NDArray[np.floating], *, label: str, limit: float, signed: bool = False) -> bytes:
+    """A map (H, W) in colours with its scale; NaN pixels stay white.
+
+    Args:
+        values: the numbers, NaN where there is nothing to show.
+        label: what they are, with the unit.
+        limit: the value at the end of the scale; larger ones take its colour.
+        signed: whether the scale runs from -limit to limit instead of from 0.
+    """
+    with matplotlib.rc_context(_STYLE | {"axes.grid": False}):
+        figure, axes = _axes(4.4, 3.8)
+        axes.set_axis_off()
+        picture = axes.imshow(
+            values,
+            cmap="RdBu_r" if signed else "magma_r",
+            vmin=-limit if signed else 0.0,
+            vmax=limit,
+            interpolation="nearest",
+        )
+        bar = figure.colorbar(picture, ax=axes, fraction=0.045, pad=0.03, extend="both" if signed else "max")
+        bar.outline.set_visible(False)
+        bar.set_label(label)
+        return _png(figure)
+
+
+def running_mean(values: NDArray[np.float64], window: int) -> NDArray[np.float64]:
+    """Mean over the last ``window`` values, over fewer at the start; (N,) to (N,)."""
+    total = np.concatenate(([0.0], np.cumsum(values)))
+    last = np.arange(1, len(values) + 1)
+    first = np.maximum(last - window, 0)
+    return np.asarray((total[last] - total[first]) / (last - first), dtype=np.float64)
+
+
+def spread(positions: Sequence[float], gap: float) -> list[float]:
+    """Move sorted positions apart as little as needed so that neighbours differ by at least ``gap``."""
+    placed: list[list[float]] = []  # groups of positions that touch: [sum of anchors, count]
+    for index, position in enumerate(positions):
+        placed.append([position - index * gap, 1.0])
+        while len(placed) > 1 and placed[-2][0] / placed[-2][1] > placed[-1][0] / placed[-1][1]:
+            anchor, count = placed.pop()
+            placed[-1][0] += anchor
+            placed[-1][1] += count
+    anchors = [anchor / count for anchor, count in placed for _ in range(int(count))]
+    return [anchor + index * gap for index, anchor in enumerate(anchors)]
+
+
+def _axes(width: float, height: float) -> tuple[Any, Any]:
+    figure = Figure(figsize=(width, height), dpi=192, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, figure.add_subplot()
+
+
+def _plain_log(axis: Any, text: Callable[[float], str]) -> None:
+    """Label a logarithmic axis in plain numbers: decades, and 2 and 5 between them where it spans few."""
+    low, high = axis.get_view_interval()
+    between = (1.0, 2.0, 5.0) if high / low < 200 else (1.0,)
+    axis.set_major_locator(LogLocator(subs=between))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: text(value)))
+
+
+def _time(seconds: float) -> str:
+    if seconds > 0.999:
+        return f"{seconds:g} s"
+    return f"{1e3 * seconds:g} ms" if seconds > 0.999e-3 else f"{1e6 * seconds:g} \u00b5s"
+
+
+def _label_ends(axes: Any, ends: Sequence[tuple[float, str, str]]) -> None:
+    """Write each line's name at its right end, moved apart where they would touch."""
+    low, high = np.log10(axes.get_ylim())
+    ordered = sorted(ends)
+    heights = [(np.log10(value) - low) / (high - low) for value, _, _ in ordered]
+    for place, (_, name, colour) in zip(spread(heights, 0.065), ordered, strict=True):
+        axes.text(1.015, place, name, transform=axes.transAxes, color=colour, va="center", clip_on=False)
+
+
+def _bars(points: Sequence[TimedError]) -> NDArray[np.float64] | None:
+    if all(point.interval is None for point in points):
+        return None
+    ends = [point.interval or (point.error, point.error) for point in points]
+    return np.array(
+        [[max(p.error - lo, 0.0), max(hi - p.error, 0.0)] for p, (lo, hi) in zip(points, ends, strict=True)]
+    ).T
+
+
+def _png(figure: Any) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", metadata={"Software": None})
+    return buffer.getvalue()

@@ -1,0 +1,162 @@
+"""Decomposition of pictures: what is written, what the parts mean, and that it is all or nothing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from sfsnet_dr.apply import outputs
+from sfsnet_dr.apply.decompose import decompose, reconstruction_error
+from sfsnet_dr.apply.picture import eyes_from_text, read_picture
+from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.base.imageio import read_exr, read_image, write_png
+from sfsnet_dr.data.photograph import face_ellipse_mask
+from sfsnet_dr.model.sfsnet import SfSNet
+from sfsnet_dr.model.weights import save_weights
+from sfsnet_dr.render.shading_numpy import f_render
+
+EYES = ((58.0, 66.0), (102.0, 66.0))
+FILES = {
+    "input.png", "normal.png", "albedo.png", "shading.png", "reconstruction.png", "relit_left.png",
+    "relit_right.png", "relit_top.png", "sheet.png", "decomposition.exr",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    torch.manual_seed(0)
+    path = tmp_path_factory.mktemp("weights") / "tiny.safetensors"
+    model = SfSNet(4, 4, 1)
+    *_, bias = model.normal_head.parameters()
+    torch.nn.init.constant_(bias, 0.5)  # so small a network would have pixels without any normal
+    save_weights(path, model)
+    return path
+
+
+@pytest.fixture
+def picture(tmp_path: Path) -> Path:
+    ramp = np.linspace(0.05, 0.9, 128)
+    write_png(
+        tmp_path / "face.png",
+        np.stack([np.outer(ramp, ramp), np.outer(ramp, 1 - ramp), np.outer(1 - ramp, ramp)], -1),
+    )
+    return tmp_path / "face.png"
+
+
+def test_one_folder_a_picture_with_every_file(tmp_path: Path, picture: Path, weights: Path) -> None:
+    [face] = decompose([picture], tmp_path / "out", weights)
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["face"]
+    assert {p.name for p in (tmp_path / "out/face").iterdir()} == FILES
+    assert face.name == "face"
+    for name in FILES - {"sheet.png", "decomposition.exr"}:
+        assert read_image(tmp_path / "out/face" / name).pixels.shape == (128, 128, 3), name
+
+
+def test_the_parts_make_the_reconstruction(tmp_path: Path, picture: Path, weights: Path) -> None:
+    [face] = decompose([picture], tmp_path / "out", weights)
+    planes = [np.moveaxis(part, -1, 0)[None] for part in (face.normal, face.albedo)]
+    expected = np.moveaxis(f_render(planes[0], planes[1], face.light.flat()[None])[0], 0, -1)
+    np.testing.assert_allclose(face.reconstruction, expected, atol=1e-12)
+    # The network normalises in float32: 1e-7 a component.
+    np.testing.assert_allclose(np.linalg.norm(face.normal, axis=-1), 1, atol=1e-6)
+    np.testing.assert_allclose(face.image, read_image(picture).pixels)
+    assert reconstruction_error(face) > 0
+
+
+def test_the_exr_holds_all_numbers(tmp_path: Path, picture: Path, weights: Path) -> None:
+    [face] = decompose([picture], tmp_path / "out", weights)
+    channels, strings = read_exr(tmp_path / "out/face/decomposition.exr")
+    np.testing.assert_allclose(json.loads(strings["sfsnet_dr:light"]), face.light.flat())
+    assert len(strings["sfsnet_dr:weights_sha256"]) == 64
+    for name, letters, array in (
+        ("image", "RGB", face.image), ("normal", "XYZ", face.normal), ("albedo", "RGB", face.albedo),
+        ("shading", "RGB", face.shading), ("reconstruction", "RGB", face.reconstruction),
+    ):  # fmt: skip
+        stored = np.stack([channels[f"{name}.{letter}"] for letter in letters], axis=-1)
+        # Half floats keep 11 bits: relative 2^-11, and 2^-25 next to zero.
+        np.testing.assert_allclose(stored, array, rtol=2**-11, atol=2**-24)
+    np.testing.assert_allclose(channels["mask.Y"], face_ellipse_mask(), atol=2**-11)
+
+
+def test_a_second_run_replaces_the_first_and_repeats_it(tmp_path: Path, picture: Path, weights: Path) -> None:
+    decompose([picture], tmp_path / "out", weights)
+    before = {p.name: p.read_bytes() for p in (tmp_path / "out/face").iterdir()}
+    decompose([picture], tmp_path / "out", weights)
+    assert {p.name: p.read_bytes() for p in (tmp_path / "out/face").iterdir()} == before
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["face"]
+
+
+def test_eyes_and_side_file_give_the_same(tmp_path: Path) -> None:
+    pixels = np.random.default_rng(0).uniform(size=(160, 160, 3))
+    write_png(tmp_path / "big.png", pixels)
+    given = read_picture(tmp_path / "big.png", EYES)
+    (tmp_path / "big.toml").write_text("eye_image_left = [58, 66]\neye_image_right = [102, 66]\n")
+    found = read_picture(tmp_path / "big.png")
+    assert given.image.shape == (128, 128, 3)
+    assert (given.image == found.image).all()
+    assert (given.mask == found.mask).all()
+    assert eyes_from_text("--eyes", "58,66, 102,66") == EYES
+
+
+def test_a_mask_comes_along_into_the_face_frame(tmp_path: Path) -> None:
+    write_png(tmp_path / "big.png", np.full((160, 160, 3), 0.5))
+    left_half = np.zeros((160, 160, 3))
+    left_half[:, :80] = 1
+    write_png(tmp_path / "mask.png", left_half)
+    mask = read_picture(tmp_path / "big.png", EYES, tmp_path / "mask.png").mask
+    # The middle between the eyes, x = 80 there, is x = 64 in the face frame.
+    assert (mask[20:110, 20:63] == 1).all()
+    assert (mask[:, 65:] == 0).all()
+
+
+def test_where_the_photograph_ends_the_mask_ends(tmp_path: Path) -> None:
+    write_png(tmp_path / "cut.png", np.full((160, 80, 3), 0.5))
+    mask = read_picture(tmp_path / "cut.png", ((20.0, 66.0), (64.0, 66.0))).mask
+    assert mask[70, 64] == 1
+    assert (mask[:, 100:] == 0).all()
+    assert face_ellipse_mask()[70, 100] == 1
+
+
+def test_nothing_is_left_when_writing_fails(
+    tmp_path: Path, picture: Path, weights: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> bytes:
+        raise OSError("disk full")
+
+    monkeypatch.setattr(outputs, "sheet", fail)
+    with pytest.raises(OSError, match="disk full"):
+        decompose([picture], tmp_path / "out", weights)
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_an_earlier_result_outlives_a_failure(
+    tmp_path: Path, picture: Path, weights: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    decompose([picture], tmp_path / "out", weights)
+    monkeypatch.setattr(outputs, "write_exr", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        decompose([picture], tmp_path / "out", weights)
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["face"]
+    assert {p.name for p in (tmp_path / "out/face").iterdir()} == FILES
+
+
+def test_a_folder_of_somebody_else_is_not_touched(tmp_path: Path, picture: Path, weights: Path) -> None:
+    (tmp_path / "out/face").mkdir(parents=True)
+    (tmp_path / "out/face/thesis.txt").write_text("do not lose me")
+    with pytest.raises(BadInput, match=r"holds 'thesis\.txt'"):
+        decompose([picture], tmp_path / "out", weights)
+    assert (tmp_path / "out/face/thesis.txt").read_text() == "do not lose me"
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["face"]
+
+
+def test_two_pictures_of_one_name_are_refused(tmp_path: Path, picture: Path, weights: Path) -> None:
+    (tmp_path / "b").mkdir()
+    twin = tmp_path / "b/face.png"
+    twin.write_bytes(picture.read_bytes())
+    with pytest.raises(BadInput, match="2 are called 'face'"):
+        decompose([picture, twin], tmp_path / "out", weights)
+    assert not (tmp_path / "out").exists()
