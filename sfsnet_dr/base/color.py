@@ -6,6 +6,7 @@ inside the functions that need it because its import takes about a second.
 
 from __future__ import annotations
 
+import sys
 from typing import Any, Final
 
 import numpy as np
@@ -99,7 +100,16 @@ def _check_colours(name: str, colours: ArrayLike) -> NDArray[np.float64]:
 
 
 def _colour() -> Any:
-    with np.printoptions():  # the package changes how NumPy prints, for everybody
-        import colour
-
-    return colour
+    if "colour" not in sys.modules:
+        # colour-science would keep OpenImageIO's types in a table that outlives the interpreter, which then
+        # prints thirty lines about leaks at exit; its image files are not used here.
+        kept = sys.modules.get("OpenImageIO")
+        sys.modules["OpenImageIO"] = None  # type: ignore[assignment]
+        try:
+            with np.printoptions():  # the package changes how NumPy prints, for everybody
+                import colour  # noqa: F401
+        finally:
+            del sys.modules["OpenImageIO"]
+            if kept is not None:
+                sys.modules["OpenImageIO"] = kept
+    return sys.modules["colour"]
