@@ -75,11 +75,13 @@ def test_delta_e_keeps_the_shape() -> None:
 
 @pytest.mark.parametrize("kelvin", [2000, 2800, 4000, 4001, 6500, 10000])
 def test_black_body_is_plancks(kelvin: float) -> None:
-    """Planck's law weighted by the colour matching functions. The cubic fits are good to 1 % a channel."""
+    """Planck's law weighted by the colour matching functions. The cubic fits were seen within .27 %, times 2."""
     observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
     xyz = colour.sd_blackbody(kelvin, observer.shape).values @ observer.values
     rgb = np.maximum(np.linalg.solve(RGB_TO_XYZ, xyz / xyz[1]), 0)
-    np.testing.assert_allclose(blackbody_tint(kelvin), rgb / (rgb @ LUMINANCE), atol=0.01 * rgb.max())
+    np.testing.assert_allclose(
+        blackbody_tint(kelvin), rgb / (rgb @ LUMINANCE), atol=0.006 * (rgb / (rgb @ LUMINANCE)).max()
+    )
     assert blackbody_tint(kelvin) @ LUMINANCE == pytest.approx(1)
 
 

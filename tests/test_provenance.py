@@ -43,16 +43,22 @@ def test_no_revision_outside_a_checkout(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_revision_of_a_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(provenance, "_PACKAGE_DIR", tmp_path)
-    file = tmp_path / "__init__.py"
-    file.touch()
     if provenance._git("init") is None:
         pytest.skip("no git")
-    assert provenance.git_revision() is None  # the file does not belong to that repository
-    who = ["-c", "user.name=a", "-c", "user.email=a@example.org"]
-    provenance._git("add", "__init__.py")
-    provenance._git(*who, "commit", "-m", "first", "--no-verify")
+    commit(tmp_path / "other")
+    file = tmp_path / "__init__.py"
+    file.touch()
+    assert provenance.git_revision() is None  # installed inside somebody else's repository
+    commit(file)
     clean = provenance.git_revision()
     assert clean is not None
     assert len(clean) == 40
     file.write_text("changed")
     assert provenance.git_revision() == f"{clean}-dirty"
+
+
+def commit(file: Path) -> None:
+    file.touch()
+    provenance._git("add", file.name)
+    who = ["-c", "user.name=a", "-c", "user.email=a@example.org"]
+    provenance._git(*who, "commit", "-m", "one file", "--no-verify")

@@ -121,7 +121,7 @@ def write_exr(
     """
     import OpenImageIO as oiio
 
-    planes = {name: np.asarray(channels[name], dtype=np.float32) for name in sorted(channels)}
+    planes = {name: np.asarray(channels[name], dtype=np.float32) for name in channels}
     _check_planes(path, planes, float32)
     height, width = next(iter(planes.values())).shape
     spec = oiio.ImageSpec(width, height, len(planes), oiio.HALF)
