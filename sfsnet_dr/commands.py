@@ -182,14 +182,17 @@ class Validate:
     scene: Positional[Annotated[Path, arg(metavar="SCENE", help="Scene (TOML) of the folder scenes/.")]]
     out: Out
     tolerance: Annotated[
-        float | None, arg(help="Relative RMS error above which the command ends with exit code 1.")
+        float | None,
+        arg(metavar="RATIO", help="Relative RMS error of order 2 above which the exit code is 1."),
     ] = None
+    seed: Annotated[int, arg(help="Seed of the head and of the path tracer's noise.")] = 0
     as_json: Json = False
 
     def run(self) -> Result:
         from sfsnet_dr.study.validate import validate
 
-        return _of_records(validate(self.scene, self.out, self.tolerance))
+        records = validate(self.scene, self.out, self.tolerance, seed=self.seed, command=command_line())
+        return _of_records(records, f"report: {self.out / 'index.html'}")
 
 
 @dataclass(frozen=True)
@@ -205,7 +208,7 @@ class Demo:
     def run(self) -> Result:
         from sfsnet_dr.study.demo import run_demo
 
-        return _of_records(run_demo(self.out), f"report: {self.out / 'report.html'}")
+        return _of_records(run_demo(self.out), f"report: {self.out / 'index.html'}")
 
 
 Command = Doctor | Synth | Train | Decompose | Validate | Demo

@@ -237,8 +237,12 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     assert sorted(folder.rglob("*")) == before
 
 
-def test_the_installed_program_ends_with_the_code_and_the_line(folder: Path) -> None:
-    done = subprocess.run([PROGRAM, *decompose(folder, "absent.png")], capture_output=True, text=True)
+@pytest.mark.parametrize("case", [missing, empty_mask], ids=lambda case: case.__name__)
+def test_the_installed_program_ends_with_the_code_and_the_line(
+    case: Callable[[Path], list[str]], folder: Path
+) -> None:
+    # In a process of its own, because libraries may still speak up while the interpreter ends.
+    done = subprocess.run([PROGRAM, *case(folder)], capture_output=True, text=True)
     assert done.returncode == 2
     assert done.stdout == ""
     assert len(done.stderr.splitlines()) == 1
@@ -257,6 +261,7 @@ def test_json_is_all_that_goes_to_standard_output(folder: Path) -> None:
     done = subprocess.run(
         [PROGRAM, *decompose(folder, "face.png", "--json")], capture_output=True, text=True, check=True
     )
+    assert done.stderr == ""
     [record] = json.loads(done.stdout)
     assert record["what"] == "decompose.face.reconstruction.mae_8bit"
     assert record["command"].startswith("sfsnet-dr decompose ")
