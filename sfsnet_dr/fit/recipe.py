@@ -1,0 +1,156 @@
+"""A training recipe: every number that decides a run, read from TOML and stored with its result."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import torch
+
+from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.base.config import load_toml
+from sfsnet_dr.data.augment import Augmentation
+from sfsnet_dr.loss.reconstruction import Backend
+from sfsnet_dr.loss.terms import LossWeights
+from sfsnet_dr.model.sfsnet import SfSNet
+from sfsnet_dr.model.weights import build
+
+Precision = Literal["auto", "float32", "bfloat16"]
+
+
+@dataclass(frozen=True)
+class ModelRecipe:
+    """The network, by name and size; the defaults are the paper's."""
+
+    architecture: str = SfSNet.architecture
+    stem: int = 64
+    features: int = 128
+    blocks: int = 5
+
+    @property
+    def config(self) -> dict[str, int]:
+        """The sizes, as the network's constructor takes them."""
+        return {"stem": self.stem, "features": self.features, "blocks": self.blocks}
+
+    def make(self) -> SfSNet:
+        """A freshly initialised network."""
+        return build(self.architecture, self.config)
+
+
+@dataclass(frozen=True)
+class OptimiserRecipe:
+    """Adam with linear warm-up and a cosine to ``last_share`` of the learning rate.
+
+    Args:
+        learning_rate: the highest.
+        warm_up: steps in which it grows from 0.
+        last_share: share of it that is left at the last step; 1 keeps it constant.
+        weight_decay: L2 penalty as in Adam, 0 for none.
+        largest_gradient: norm above which a gradient is scaled down to it.
+    """
+
+    learning_rate: float = 1e-3
+    warm_up: int = 20
+    last_share: float = 0.01
+    weight_decay: float = 0.0
+    largest_gradient: float = 1.0
+
+    def __post_init__(self) -> None:
+        _positive(self, "learning_rate", "largest_gradient")
+        _not_negative(self, "warm_up", "weight_decay")
+        if not 0 <= self.last_share <= 1:
+            raise BadInput(f"last_share: {self.last_share} found, a share from 0 to 1 is needed")
+
+    def rate(self, step: int, steps: int) -> float:
+        """Learning rate of step 0..steps-1: a function of the step alone, so nothing is to be resumed."""
+        if step < self.warm_up:
+            return self.learning_rate * (step + 1) / (self.warm_up + 1)
+        done = (step - self.warm_up) / max(steps - 1 - self.warm_up, 1)
+        wave = 0.5 * (1 + math.cos(math.pi * done))
+        return self.learning_rate * (self.last_share + (1 - self.last_share) * wave)
+
+
+@dataclass(frozen=True)
+class ComputeRecipe:
+    """How the same numbers are computed.
+
+    Args:
+        precision: of the convolutions; the last layers, loss and weights are float32 always. "auto" takes
+            bfloat16 (autocast) where the processor multiplies it itself, which is then three times as fast as
+            float32. Elsewhere it is emulated, four times as slow.
+        channels_last: memory order that CPU convolutions are quicker in.
+        loss_backend: who computes the reconstruction term.
+    """
+
+    precision: Precision = "auto"
+    channels_last: bool = True
+    loss_backend: Backend = "drjit"
+
+    @property
+    def bfloat16(self) -> bool:
+        """Whether this machine trains in bfloat16."""
+        return self.precision == "bfloat16" or (self.precision == "auto" and _multiplies_bfloat16())
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """One training run.
+
+    Args:
+        steps: optimiser steps.
+        batch_size: images a step.
+        seed: of the initial weights and of every batch.
+        checkpoint_every: steps between two checkpoints; the last step always writes one.
+        most_skipped: steps with a loss or gradient that is not finite before the run fails.
+
+    Raises:
+        BadInput: for a value out of its range.
+    """
+
+    steps: int
+    batch_size: int = 8
+    seed: int = 0
+    checkpoint_every: int = 100
+    most_skipped: int = 10
+    model: ModelRecipe = field(default_factory=ModelRecipe)
+    data: Augmentation = field(default_factory=Augmentation)
+    loss: LossWeights = field(default_factory=LossWeights)
+    optimiser: OptimiserRecipe = field(default_factory=OptimiserRecipe)
+    compute: ComputeRecipe = field(default_factory=ComputeRecipe)
+
+    def __post_init__(self) -> None:
+        _positive(self, "steps", "batch_size", "checkpoint_every")
+        _not_negative(self, "seed", "most_skipped")
+
+
+def read_recipe(path: Path | str) -> Recipe:
+    """Read a recipe.
+
+    Raises:
+        BadInput: naming the file and the key: unknown, of another type, missing or out of range.
+    """
+    try:
+        recipe = load_toml(Recipe, path)
+        recipe.model.make()
+    except BadInput as error:
+        raise BadInput(f"{error}" if str(error).startswith(str(path)) else f"{path}: {error}") from error
+    return recipe
+
+
+def _multiplies_bfloat16() -> bool:
+    capabilities = torch.cpu.get_capabilities()
+    return any(capabilities.get(name, False) for name in ("avx512_bf16", "amx_bf16"))
+
+
+def _positive(section: object, *names: str) -> None:
+    for name in names:
+        if not getattr(section, name) > 0:
+            raise BadInput(f"{name}: {getattr(section, name)} found, more than 0 is needed")
+
+
+def _not_negative(section: object, *names: str) -> None:
+    for name in names:
+        if not getattr(section, name) >= 0:
+            raise BadInput(f"{name}: {getattr(section, name)} found, 0 or more is needed")

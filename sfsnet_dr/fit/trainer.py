@@ -1,0 +1,178 @@
+"""The training loop: batches, loss, Adam, a history, checkpoints and an exact resume."""
+
+from __future__ import annotations
+
+import signal
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import torch
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as Bar
+
+from sfsnet_dr.base.atomic import output_dir
+from sfsnet_dr.base.checks import BadInput, WorkFailed
+from sfsnet_dr.base.config import as_dict
+from sfsnet_dr.data.dataset import Faces, RelitFaces, load_faces
+from sfsnet_dr.fit.checkpoint import Progress, load_checkpoint, save_checkpoint
+from sfsnet_dr.fit.history import History, read_history
+from sfsnet_dr.fit.recipe import Recipe
+from sfsnet_dr.fit.signals import StopRequest
+from sfsnet_dr.fit.step import NotFinite, training_step
+from sfsnet_dr.model.sfsnet import SfSNet
+from sfsnet_dr.model.weights import save_weights
+
+#: Files of a run's folder.
+WEIGHTS: Final = "weights.safetensors"
+CHECKPOINT: Final = "checkpoint.safetensors"
+HISTORY: Final = "history.jsonl"
+
+#: Steps that ``first`` and ``final`` of a result are means over.
+WINDOW: Final = 20
+
+
+@dataclass(frozen=True)
+class TrainResult:
+    """What a run leaves.
+
+    Args:
+        weights: the network, for ``load_weights``.
+        history: a line for every step, for ``read_history``.
+        first: means over the first ``WINDOW`` steps of total, recon, normal, albedo and light.
+        final: the same over the last ``WINDOW`` steps.
+        skipped: steps whose loss or gradient was not finite.
+    """
+
+    weights: Path
+    history: Path
+    first: dict[str, float]
+    final: dict[str, float]
+    skipped: int
+
+
+def train(
+    recipe: Recipe, data_dir: Path | str, out: Path | str, *, resume: bool = False, progress: bool = True
+) -> TrainResult:
+    """Train a network on a folder of bundles, relit on the fly.
+
+    Args:
+        recipe: everything that decides the result; it is stored with the weights.
+        data_dir: folder with ``manifest.jsonl``.
+        out: folder for weights, history and checkpoint; made if missing.
+        resume: go on from the checkpoint in ``out``. On one machine with one number of threads this gives
+            the same bits as a run that was never stopped.
+        progress: show a bar with the loss, images a second and the time left.
+
+    Raises:
+        BadInput: for unusable data, an ``out`` that holds a run while ``resume`` is false, or a checkpoint of
+            another recipe or other data.
+        WorkFailed: if too many steps were not finite, or SIGTERM came; the checkpoint is saved then.
+        KeyboardInterrupt: on SIGINT, with the checkpoint saved.
+    """
+    faces = load_faces(data_dir)
+    folder = output_dir(out)
+    if not resume and (folder / CHECKPOINT).exists():
+        raise BadInput(f"{folder}: holds a run already; go on with --resume or choose another folder")
+    run = _Run(recipe, faces, folder, resume)
+    with _bar(progress) as bar, StopRequest() as stop, History(folder / HISTORY, run.done.step) as history:
+        task = bar.add_task("training", total=recipe.steps, completed=run.done.step, loss="", speed="")
+        while run.done.step < recipe.steps:
+            loss, speed = run.step(history)
+            bar.update(task, advance=1, loss=loss, speed=speed)
+            if stop.received:
+                run.save()
+                _raise_stopped(stop.received, folder, run.done.step)
+    return run.finish()
+
+
+class _Run:
+    """A run's changing state: the network, Adam and how far it is."""
+
+    def __init__(self, recipe: Recipe, faces: Faces, folder: Path, resume: bool) -> None:
+        self.recipe, self.folder, self.data = recipe, folder, faces.fingerprint
+        self.batches = RelitFaces(faces, recipe.batch_size, recipe.data, recipe.seed)
+        self.model = _make_model(recipe)
+        decay = recipe.optimiser.weight_decay
+        self.adam = torch.optim.Adam(self.model.parameters(), weight_decay=decay)
+        self.done = Progress()
+        if resume:
+            self.done = load_checkpoint(folder / CHECKPOINT, self.model, self.adam, recipe, faces.fingerprint)
+
+    def step(self, history: History) -> tuple[str, str]:
+        """Do the next step, note it, and give the bar its texts: loss and speed."""
+        number = self.done.step
+        started = time.perf_counter()
+        rate = self.recipe.optimiser.rate(number, self.recipe.steps)
+        try:
+            batch = self.batches.batch(number)
+            values = training_step(self.model, self.adam, batch, self.recipe, rate)
+            speed = self.recipe.batch_size / (time.perf_counter() - started)
+            history.add(step=number, rate=rate, **values, images_per_second=round(speed, 2))
+            texts = f"loss {values['total']:.4f}", f"{speed:.1f} images/s"
+            self.done = replace(self.done, step=number + 1)
+        except NotFinite as error:
+            names = [self.batches.faces.names[i] for i in self.batches.indices(number)]
+            history.add(step=number, rate=rate, skipped=str(error), faces=names)
+            texts = f"skipped: {error}", ""
+            self.done = Progress(number + 1, self.done.skipped + 1)
+            self._check_skipped(str(error), names)
+        if self.done.step % self.recipe.checkpoint_every == 0:
+            self.save()
+        return texts
+
+    def save(self) -> None:
+        """Write the checkpoint."""
+        save_checkpoint(self.folder / CHECKPOINT, self.model, self.adam, self.done, self.recipe, self.data)
+
+    def finish(self) -> TrainResult:
+        """Write the weights and sum up."""
+        self.save()
+        lines = [line for line in read_history(self.folder / HISTORY) if "skipped" not in line]
+        first, final = _means(lines[:WINDOW]), _means(lines[-WINDOW:])
+        metadata = {"recipe": as_dict(self.recipe), "data": self.data, "final": final}
+        save_weights(self.folder / WEIGHTS, self.model, metadata)
+        return TrainResult(self.folder / WEIGHTS, self.folder / HISTORY, first, final, self.done.skipped)
+
+    def _check_skipped(self, reason: str, names: list[str]) -> None:
+        if self.done.skipped > self.recipe.most_skipped:
+            self.save()
+            raise WorkFailed(
+                f"training: {self.done.skipped} steps were not finite ({self.recipe.most_skipped} allowed); "
+                f"the last, {self.done.step - 1}, had {reason} on {', '.join(names)}; lower the learning rate"
+            )
+
+
+def _make_model(recipe: Recipe) -> SfSNet:
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(recipe.seed)
+        model = recipe.model.make()
+    layout = torch.channels_last if recipe.compute.channels_last else torch.contiguous_format
+    model.to(memory_format=layout)  # type: ignore[call-overload]
+    return model.train()
+
+
+def _means(lines: list[dict[str, Any]]) -> dict[str, float]:
+    names = ("total", "recon", "normal", "albedo", "light")
+    return {name: sum(line[name] for line in lines) / len(lines) for name in names} if lines else {}
+
+
+def _raise_stopped(number: signal.Signals, folder: Path, step: int) -> None:
+    if number == signal.SIGINT:
+        raise KeyboardInterrupt
+    raise WorkFailed(f"training: {number.name} after {step} steps; {folder} is saved, go on with --resume")
+
+
+def _bar(shown: bool) -> Bar:
+    return Bar(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[loss]}"),
+        TextColumn("{task.fields[speed]}"),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),  # standard output belongs to the command's result
+        disable=not shown,
+    )

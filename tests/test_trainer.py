@@ -1,0 +1,181 @@
+"""Runs: a resumed one equals one that was never stopped, whatever stopped it."""
+
+from __future__ import annotations
+
+import json
+import signal
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from spheres import write_spheres
+
+from sfsnet_dr.base.checks import BadInput, WorkFailed
+from sfsnet_dr.fit.history import History, read_history
+from sfsnet_dr.fit.recipe import ComputeRecipe, ModelRecipe, Recipe
+from sfsnet_dr.fit.step import NotFinite, training_step
+from sfsnet_dr.fit.trainer import CHECKPOINT, HISTORY, WEIGHTS, train
+from sfsnet_dr.model.weights import load_weights, read_metadata
+
+RECIPE = Recipe(
+    steps=9,
+    batch_size=2,
+    checkpoint_every=4,
+    model=ModelRecipe(stem=4, features=8, blocks=1),
+    compute=ComputeRecipe(precision="float32", loss_backend="torch"),
+)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three small spheres."""
+    return write_spheres(tmp_path_factory.mktemp("faces"), 3)
+
+
+@pytest.fixture(scope="module")
+def whole(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run from beginning to end."""
+    folder = tmp_path_factory.mktemp("whole")
+    train(RECIPE, data, folder, progress=False)
+    return folder
+
+
+def before_step(monkeypatch: pytest.MonkeyPatch, number: int, act: Callable[[], object]) -> None:
+    """Do something when a run begins its step ``number``, counted from this call."""
+    calls = iter(range(1000))
+
+    def patched(*arguments: Any) -> dict[str, float]:
+        if next(calls) == number:
+            act()
+        return training_step(*arguments)
+
+    monkeypatch.setattr("sfsnet_dr.fit.trainer.training_step", patched)
+
+
+def fail(error: BaseException) -> Callable[[], object]:
+    """A function that raises."""
+
+    def act() -> object:
+        raise error
+
+    return act
+
+
+def losses(folder: Path) -> list[dict[str, Any]]:
+    """The history without what depends on the clock."""
+    lines = read_history(folder / HISTORY)
+    return [{key: line[key] for key in line if key != "images_per_second"} for line in lines]
+
+
+def same_run(a: Path, b: Path) -> bool:
+    """Whether weights and history are equal to the bit."""
+    equal: bool = (a / WEIGHTS).read_bytes() == (b / WEIGHTS).read_bytes() and losses(a) == losses(b)
+    return equal
+
+
+def test_a_run_leaves_weights_history_and_means(data: Path, tmp_path: Path) -> None:
+    result = train(RECIPE, data, tmp_path / "run", progress=False)
+    lines = read_history(result.history)
+    assert [line["step"] for line in lines] == list(range(9))
+    assert set(lines[0]) >= {"rate", "total", "recon", "normal", "albedo", "light", "images_per_second"}
+    assert result.final["total"] == pytest.approx(sum(line["total"] for line in lines) / 9)
+    assert result.skipped == 0
+    load_weights(result.weights)
+    metadata = read_metadata(result.weights)
+    assert metadata["recipe"]["model"]["features"] == 8
+    assert metadata["final"] == result.final
+
+
+def test_a_crash_between_checkpoints_costs_nothing_but_time(
+    data: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        before_step(patch, 6, fail(RuntimeError("power cut")))
+        with pytest.raises(RuntimeError):
+            train(RECIPE, data, tmp_path, progress=False)
+    assert len(losses(tmp_path)) == 6  # two of them after the checkpoint of step 4
+    assert not (tmp_path / WEIGHTS).exists()
+    train(RECIPE, data, tmp_path, resume=True, progress=False)
+    assert same_run(whole, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("number", "error"), [(signal.SIGTERM, WorkFailed), (signal.SIGINT, KeyboardInterrupt)]
+)
+def test_a_signal_saves_after_the_step(
+    number: signal.Signals,
+    error: type[BaseException],
+    data: Path,
+    whole: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    handler = signal.getsignal(number)
+    with monkeypatch.context() as patch:
+        before_step(patch, 2, lambda: signal.raise_signal(number))
+        with pytest.raises(error):
+            train(RECIPE, data, tmp_path, progress=False)
+    assert signal.getsignal(number) == handler
+    assert len(losses(tmp_path)) == 3
+    train(RECIPE, data, tmp_path, resume=True, progress=False)
+    assert same_run(whole, tmp_path)
+
+
+def test_resuming_a_finished_run_changes_nothing(data: Path, whole: Path) -> None:
+    before = (whole / WEIGHTS).read_bytes()
+    train(RECIPE, data, whole, resume=True, progress=False)
+    assert (whole / WEIGHTS).read_bytes() == before
+
+
+def test_another_seed_is_another_run(data: Path, whole: Path, tmp_path: Path) -> None:
+    train(replace(RECIPE, seed=1), data, tmp_path, progress=False)
+    assert not same_run(whole, tmp_path)
+
+
+def test_runs_are_not_mixed(data: Path, whole: Path, tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="holds a run already"):
+        train(RECIPE, data, whole, progress=False)
+    with pytest.raises(BadInput, match="no checkpoint to resume from"):
+        train(RECIPE, data, tmp_path / "new", resume=True, progress=False)
+    with pytest.raises(BadInput, match=r"recipe with data\.flip = 0\.5 found, 0\.1 asked for"):
+        train(replace(RECIPE, data=replace(RECIPE.data, flip=0.1)), data, whole, resume=True, progress=False)
+    others = write_spheres(tmp_path / "others", 2)
+    with pytest.raises(BadInput, match="trained on other bundles"):
+        train(RECIPE, others, whole, resume=True, progress=False)
+    (tmp_path / CHECKPOINT).write_bytes((whole / WEIGHTS).read_bytes())
+    with pytest.raises(BadInput, match=r"sfsnet_dr\.weights found in its header"):
+        train(RECIPE, data, tmp_path, resume=True, progress=False)
+
+
+def test_a_step_that_is_not_finite_is_skipped_and_told(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before_step(monkeypatch, 3, fail(NotFinite("recon not finite")))
+    result = train(RECIPE, data, tmp_path, progress=False)
+    assert result.skipped == 1
+    line = read_history(result.history)[3]
+    assert line["skipped"] == "recon not finite"
+    assert len(line["faces"]) == 2
+    assert line["faces"][0].startswith("sphere_")
+
+
+def test_too_many_such_steps_end_the_run(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        "sfsnet_dr.fit.trainer.training_step", lambda *_: fail(NotFinite("total not finite"))()
+    )
+    with pytest.raises(WorkFailed, match=r"3 steps were not finite \(2 allowed\); the last, 2, had total"):
+        train(replace(RECIPE, most_skipped=2), data, tmp_path, progress=False)
+
+
+def test_a_torn_history_line_is_dropped(tmp_path: Path) -> None:
+    path = tmp_path / HISTORY
+    path.write_text(json.dumps({"step": 0}) + "\n" + json.dumps({"step": 1}) + "\n" + '{"ste')
+    assert read_history(path) == [{"step": 0}, {"step": 1}]
+    with History(path, 1) as history:
+        history.add(step=1, total=2.0)
+    assert read_history(path) == [{"step": 0}, {"step": 1, "total": 2.0}]
+    path.write_text("{\n")
+    with pytest.raises(BadInput, match=HISTORY):
+        read_history(path)
