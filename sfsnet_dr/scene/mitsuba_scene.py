@@ -27,14 +27,15 @@ _FACE = "vertex_face"  # 1 on face skin, 0 elsewhere
 
 
 class SurfaceScene:
-    """One mesh, one camera, one environment map, and any number of directional lights.
+    """One mesh and one camera, lit by an environment map or by directional lights.
 
     Convention: as in ``base.conventions``; the environment follows ``sh.projection``.
 
     Args:
         mesh: the first surface. Later ones need the same number of vertices and the same triangles.
         camera: where the camera stands.
-        directional: pairs of (3,) direction toward the light and (3,) irradiance on a surface that faces it.
+        directional: pairs of (3,) direction toward the light and (3,) irradiance on a surface that faces it;
+            with any, there is no environment: the path tracer would waste its samples on a black one.
     """
 
     def __init__(
@@ -42,13 +43,11 @@ class SurfaceScene:
     ) -> None:
         self.camera = camera
         self._vertex_count, self._face_count = len(mesh.vertices), len(mesh.faces)
-        black = np.zeros((*ENVIRONMENT_SIZE, 3), dtype=np.float32)
-        scene: dict[str, Any] = {
-            "type": "scene",
-            "camera": _sensor(camera),
-            "surface": _mesh(mesh),
-            "environment": {"type": "envmap", "bitmap": mi.Bitmap(black)},
-        }
+        self._has_environment = not directional
+        scene: dict[str, Any] = {"type": "scene", "camera": _sensor(camera), "surface": _mesh(mesh)}
+        if self._has_environment:
+            black = np.zeros((*ENVIRONMENT_SIZE, 3), dtype=np.float32)
+            scene["environment"] = {"type": "envmap", "bitmap": mi.Bitmap(black)}
         for k, (direction, irradiance) in enumerate(directional):
             scene[f"directional{k}"] = _directional(direction, irradiance)
         self.mi_scene = mi.load_dict(scene)
@@ -82,7 +81,12 @@ class SurfaceScene:
 
         Args:
             image: (64, 128, 3) linear radiance in the convention of ``sh.projection``, or one number.
+
+        Raises:
+            BadInput: for another shape, values that are no radiance, or a scene with directional lights.
         """
+        if not self._has_environment:
+            raise BadInput("environment: this scene has directional lights only; make another SurfaceScene")
         full = np.broadcast_to(np.asarray(image, dtype=np.float32), (*ENVIRONMENT_SIZE, 3))
         check_shape("environment", full, f"{ENVIRONMENT_SIZE[0]} {ENVIRONMENT_SIZE[1]} 3")
         if not np.isfinite(full).all() or full.min() < 0:

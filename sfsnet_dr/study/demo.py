@@ -1,0 +1,233 @@
+"""``sfsnet-dr demo``: the whole pipeline in minutes, every stage real, and one page about it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from sfsnet_dr.apply.decompose import reconstruction_error, take_apart
+from sfsnet_dr.apply.outputs import Decomposed, write_decomposed
+from sfsnet_dr.apply.picture import Picture
+from sfsnet_dr.base.atomic import output_dir
+from sfsnet_dr.base.checks import BadInput, WorkFailed
+from sfsnet_dr.data.bundle import Bundle
+from sfsnet_dr.data.photograph import face_ellipse_mask, read_eyes, to_canonical
+from sfsnet_dr.data.synth import render_bundle, synthesize
+from sfsnet_dr.fit.history import read_history
+from sfsnet_dr.fit.recipe import read_recipe
+from sfsnet_dr.fit.trainer import TrainResult, train
+from sfsnet_dr.metrics.normals import NormalErrors, angular_error_deg
+from sfsnet_dr.model.weights import load_weights
+from sfsnet_dr.report.record import Record, measured, write_records
+from sfsnet_dr.scene.spec import SceneSpec, load_scene
+from sfsnet_dr.study.doctor import Report, diagnose
+from sfsnet_dr.study.ladder import Ladder, climb
+from sfsnet_dr.study.validate import ladder_records
+
+FACES = 24
+#: Far from the seeds of the training faces.
+UNSEEN_SEED = 100_000
+_COMMAND = "sfsnet-dr demo"
+_BACKGROUND = 0.2
+
+
+@dataclass(frozen=True)
+class DemoResult:
+    """Everything that the page shows.
+
+    Attributes:
+        doctor: the state of the installation.
+        spec: of the rendered faces.
+        bundles: the first rendered faces, for the contact sheet.
+        render_seconds: of all faces.
+        ladders: one for each validated scene.
+        training, history: what training gave, and a line for each step.
+        photograph: the decomposed astronaut.
+        synthetic, truth: the decomposed unseen face and its ground truth.
+        normal_errors: of the unseen face on its mask.
+        records: every number, in order.
+    """
+
+    doctor: Report
+    spec: SceneSpec
+    bundles: tuple[Bundle, ...]
+    render_seconds: float
+    ladders: tuple[Ladder, ...]
+    training: TrainResult
+    history: list[dict[str, Any]]
+    photograph: Decomposed
+    synthetic: Decomposed
+    truth: Bundle
+    normal_errors: NormalErrors
+    records: tuple[Record, ...]
+
+
+def run_demo(out: Path | str, root: Path | str = ".", *, console: Console | None = None) -> list[Record]:
+    """Run every stage and write ``index.html`` and ``records.json``.
+
+    Args:
+        out: folder for everything; rendered faces and a finished training in it are used again.
+        root: the checkout, for ``scenes/`` and ``training/``.
+        console: where progress is shown; standard error by default.
+
+    Raises:
+        BadInput: if ``root`` is no checkout, or ``out`` cannot be written to.
+        WorkFailed: if the renderer does not start.
+    """
+    from sfsnet_dr.study.demo_page import write_demo_page
+
+    begin = time.perf_counter()
+    folder, checkout = output_dir(out), _checkout(root)
+    screen = console or Console(stderr=True)
+    doctor = _doctor(screen)
+    spec = load_scene(checkout / "scenes" / "faces.toml")
+    render_seconds = _render(spec, folder / "faces", screen)
+    ladders = tuple(_validate(checkout / "scenes" / f"{name}.toml", screen) for name in ("sphere", "head"))
+    screen.rule("5/6  Train SfSNet for minutes", align="left")
+    training = train(
+        read_recipe(checkout / "training" / "recipes" / "smoke.toml"),
+        folder / "faces",
+        folder / "training",
+        resume=(folder / "training").exists(),
+    )
+    screen.rule("6/6  Decompose a photograph and an unseen face", align="left")
+    photograph, synthetic, truth = _decompose(spec, training.weights, folder)
+    errors = angular_error_deg(synthetic.normal, truth.normal, truth.mask)
+    records = _records(ladders, training, photograph, synthetic, errors)
+    records.append(measured("import.seconds", import_seconds(), "s", command=_COMMAND))
+    records.append(measured("demo.seconds", time.perf_counter() - begin, "s", command=_COMMAND))
+    result = DemoResult(
+        doctor=doctor,
+        spec=spec,
+        bundles=_first_bundles(folder / "faces"),
+        render_seconds=render_seconds,
+        ladders=ladders,
+        training=training,
+        history=read_history(training.history),
+        photograph=photograph,
+        synthetic=synthetic,
+        truth=truth,
+        normal_errors=errors,
+        records=tuple(records),
+    )
+    write_records(folder / "records.json", records)
+    write_demo_page(folder / "index.html", result)
+    return records
+
+
+def import_seconds() -> float:
+    """Least of five times that ``import sfsnet_dr`` takes in a fresh interpreter."""
+    code = "import time; t = time.perf_counter(); import sfsnet_dr; print(time.perf_counter() - t)"
+
+    def once() -> float:
+        run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+        return float(run.stdout)
+
+    return min(once() for _ in range(5))
+
+
+def astronaut() -> Picture:
+    """scikit-image's bundled portrait (NASA, public domain) in the canonical frame, linear."""
+    from skimage.data import astronaut as load
+
+    from sfsnet_dr.base.color import srgb_to_linear
+
+    eyes = read_eyes(Path(__file__).with_name("astronaut.toml"))
+    encoded: NDArray[np.uint8] = load()  # type: ignore[no-untyped-call]
+    linear = srgb_to_linear(encoded / 255.0)
+    return Picture("astronaut", to_canonical(linear, eyes), face_ellipse_mask())
+
+
+def _checkout(root: Path | str) -> Path:
+    folder = Path(root)
+    for part in (
+        "scenes/faces.toml",
+        "scenes/sphere.toml",
+        "scenes/head.toml",
+        "training/recipes/smoke.toml",
+    ):
+        if not (folder / part).is_file():
+            raise BadInput(f"{folder / part}: no such file; run the demo in a checkout of sfsnet_dr")
+    return folder
+
+
+def _doctor(screen: Console) -> Report:
+    screen.rule("1/6  Does the renderer start?", align="left")
+    report = diagnose()
+    screen.print(report.to_text(), highlight=False)
+    if not report.ok:
+        failed = next(check for check in report.checks if not check.ok)
+        raise WorkFailed(f"doctor: {failed.name}: {failed.detail}")
+    return report
+
+
+def _render(spec: SceneSpec, folder: Path, screen: Console) -> float:
+    screen.rule(f"2/6  Render {FACES} faces with their light transport", align="left")
+    begin = time.perf_counter()
+    with _bar(screen, "faces", FACES) as advance:
+        synthesize(folder, spec, FACES, resume=True, on_face=lambda seed: advance())
+    return time.perf_counter() - begin
+
+
+def _validate(path: Path, screen: Console) -> Ladder:
+    spec = load_scene(path)
+    number = 3 if spec.shape == "sphere" else 4
+    screen.rule(f"{number}/6  Measure SH shading against the path tracer: {spec.name}", align="left")
+    with _bar(screen, "lights", 4) as advance:
+        return climb(spec, on_light=lambda name: advance())
+
+
+def _decompose(spec: SceneSpec, weights: Path, folder: Path) -> tuple[Decomposed, Decomposed, Bundle]:
+    truth = render_bundle(spec, UNSEEN_SEED)
+    background = _BACKGROUND * (1.0 - truth.coverage[..., None])
+    unseen = Picture("unseen-face", (truth.reference + background).astype(np.float32), truth.mask)
+    model = load_weights(weights)
+    photograph, synthetic = take_apart(model, [astronaut(), unseen])
+    for face in (photograph, synthetic):
+        write_decomposed(folder, face, {})
+    return photograph, synthetic, truth
+
+
+def _records(
+    ladders: tuple[Ladder, ...],
+    training: TrainResult,
+    photograph: Decomposed,
+    synthetic: Decomposed,
+    errors: NormalErrors,
+) -> list[Record]:
+    records = [record for ladder in ladders for record in ladder_records(ladder, _COMMAND, 0)]
+    losses = {"first": training.first, "final": training.final}
+    for when, terms in losses.items():
+        for term, value in terms.items():
+            records.append(measured(f"demo.train.{when}.{term}", value, "1", command=_COMMAND, seed=0))
+    for face in (photograph, synthetic):
+        name = f"demo.{face.name.replace('-', '_')}.reconstruction.mae_8bit"
+        records.append(measured(name, reconstruction_error(face), "8-bit sRGB", command=_COMMAND, seed=0))
+    normals = "demo.unseen_face.normals.mean_deg"
+    records.append(measured(normals, errors.mean, "degrees", command=_COMMAND, seed=UNSEEN_SEED))
+    return records
+
+
+def _first_bundles(folder: Path) -> tuple[Bundle, ...]:
+    from sfsnet_dr.data.bundle import read_bundle
+
+    return tuple(read_bundle(path) for path in sorted(folder.glob("face-*.exr"))[:FACES])
+
+
+@contextmanager
+def _bar(screen: Console, what: str, total: int) -> Iterator[Callable[[], None]]:
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=screen) as progress:
+        task = progress.add_task(what, total=total)
+        yield lambda: progress.advance(task)
