@@ -176,6 +176,14 @@ def test_half_precision_is_raised(backend: Backend) -> None:
     assert all(t.grad is not None and t.grad.dtype == torch.bfloat16 for t in tensors[:3])
 
 
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_autocast_does_not_round_the_loss(backend: Backend) -> None:
+    arrays = _scene(2, 8, 8, seed=6)
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        value, _ = _loss_and_gradients(arrays, torch.float32, backend)
+    assert value == _loss_and_gradients(arrays, torch.float32, backend)[0]
+
+
 def test_same_bits_in_every_run() -> None:
     """An exact resume of a training needs it, also where pixels are no multiple of a thread's share."""
     arrays = _scene(5, 100, 100, seed=7)

@@ -13,15 +13,10 @@ from sfsnet_dr.render.jit import dr
 from sfsnet_dr.render.shading_drjit import render_planes
 
 
-def _absolute(x: Any) -> Any:
-    # dr.abs has the slope +1 at zero; torch has 0 there, and so does this.
-    return dr.select(x == 0, 0, dr.abs(x))
-
-
 def _kernel(normal: Any, albedo: Any, light: Any, image: Any, mask: Any) -> Any:
     pixels = normal.shape[2] * normal.shape[3]
     rendered = render_planes(planes(normal), planes(albedo), spread(light, pixels))
-    red, green, blue = (_absolute(i - r) for i, r in zip(planes(image), rendered, strict=True))
+    red, green, blue = (dr.abs(i - r) for i, r in zip(planes(image), rendered, strict=True))
     total = dr.sum((red + green + blue) * mask.array)  # one channel: its memory is a plane already
     return type(normal)(total, shape=())
 

@@ -45,7 +45,9 @@ def shading(normal: Tensor, light: Tensor) -> Tensor:
     order = render_sizes(normal, light, max_order=MAX_ORDER).order
     basis = sh_basis(unit(normal), order, dim=1)
     coefficients = light.reshape(light.shape[0], COLOURS, (order + 1) ** 2)
-    return torch.einsum("bkhw,bck->bchw", basis, coefficients)
+    # Under autocast the product would be rounded to half precision, unlike that of the other forms.
+    with torch.autocast(normal.device.type, enabled=False):
+        return torch.einsum("bkhw,bck->bchw", basis, coefficients)
 
 
 def f_render(normal: Tensor, albedo: Tensor, light: Tensor) -> Tensor:

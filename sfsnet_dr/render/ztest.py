@@ -17,9 +17,9 @@ from sfsnet_dr.base.checks import BadInput, check_shape
 
 Array = npt.NDArray[np.float64]
 
-#: Two-sided p below which a pixel belongs to a cluster. So loose because clusters are judged by their size:
-#: a fifth of noise pixels then is above it with either sign, far from joining up, and of pixels that are off by
-#: one standard deviation more than half, which nearly all join.
+#: Two-sided p below which a pixel belongs to a cluster. Loose, because clusters are judged by their size: a
+#: fifth of the pixels of noise exceed it with either sign, too few to join up, but more than half of those
+#: that are off by one standard deviation, and they do.
 CLUSTER_P: Final = 0.4
 
 
