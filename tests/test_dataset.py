@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -89,6 +90,16 @@ def test_noise_has_the_variance_it_says() -> None:
     # 120,000 samples give the standard deviation to 1 / sqrt(240,000) = .2 %; five of these
     assert float(noise.std()) == pytest.approx(level * (0.48 + 0.02) ** 0.5, rel=0.01)
     assert abs(float(noise.mean())) < 5 * float(noise.std()) / 120_000**0.5
+
+
+def test_exposure_changes_the_light_by_one_factor_an_image(faces: Faces) -> None:
+    plain = RelitFaces(faces, 40, PLAIN, seed=1).batch(0).light
+    varied = RelitFaces(faces, 40, replace(PLAIN, exposure=1.0), seed=1).batch(0).light
+    stops = (varied / plain).log2().median(1, keepdim=True).values
+    torch.testing.assert_close(varied, plain * 2**stops, rtol=1e-5, atol=1e-6)  # float32
+    # 40 draws from -1 to 1: all within .7, or all on one side, has a chance of 1e-6 and less
+    assert 0.7 < float(stops.abs().max()) <= 1
+    assert float(stops.min()) < 0 < float(stops.max())
 
 
 def test_clipping_keeps_what_a_screen_shows(faces: Faces) -> None:
