@@ -9,8 +9,8 @@ from typing import Any
 
 from sfsnet_dr.render.drjit_bridge import from_torch
 from sfsnet_dr.render.drjit_layout import planes, spread
-from sfsnet_dr.render.jit import dr
 from sfsnet_dr.render.shading_drjit import render_planes
+from sfsnet_dr.scene.jit import dr
 
 
 def _kernel(normal: Any, albedo: Any, light: Any, image: Any, mask: Any) -> Any:

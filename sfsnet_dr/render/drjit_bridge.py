@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 
 from sfsnet_dr.base.checks import BadInput
-from sfsnet_dr.render.jit import dr
+from sfsnet_dr.scene.jit import dr
 
 #: Held while ``dr.wrap`` runs forwards, see above. Backward passes need no lock.
 _LOCK = threading.Lock()

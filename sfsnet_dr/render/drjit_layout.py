@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from sfsnet_dr.render.jit import dr
+from sfsnet_dr.scene.jit import dr
 
 
 def planes(tensor: Any) -> list[Any]:

@@ -17,9 +17,9 @@ from torch import Tensor
 from sfsnet_dr.base.conventions import NORMAL_EPSILON
 from sfsnet_dr.render.drjit_bridge import from_torch
 from sfsnet_dr.render.drjit_layout import from_planes, planes, spread
-from sfsnet_dr.render.jit import dr
 from sfsnet_dr.render.shading_inputs import COLOURS
 from sfsnet_dr.render.shading_torch import match, match_shading
+from sfsnet_dr.scene.jit import dr
 from sfsnet_dr.sh.polynomials import sh_polynomials
 
 

@@ -14,6 +14,9 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.uint32]
 Colour = tuple[float, float, float]
 
+#: Twice the area, relative to the longest edge squared, below which a triangle counts as degenerate.
+_SLIVER = 1e-6
+
 
 class Region(IntEnum):
     """What a vertex belongs to. The face mask counts ``FACE_REGIONS`` only."""
@@ -80,9 +83,12 @@ def vertex_normals(vertices: Array, faces: Indices) -> Array:
     corners = vertices[faces]
     edges = np.roll(corners, -1, axis=1) - corners
     lengths = np.linalg.norm(edges, axis=2, keepdims=True)
-    edges = edges / np.maximum(lengths, 1e-30)
-    face_normals = np.cross(edges[:, 0], edges[:, 1])
-    face_normals /= np.maximum(np.linalg.norm(face_normals, axis=1, keepdims=True), 1e-30)
+    area = np.cross(edges[:, 0], edges[:, 1])
+    twice = np.linalg.norm(area, axis=1, keepdims=True)
+    # A sliver's direction is rounding error: it has no say.
+    sound = twice > _SLIVER * lengths.max(axis=1) ** 2
+    face_normals = np.where(sound, area / np.maximum(twice, 1e-300), 0.0)
+    edges = edges / np.maximum(lengths, 1e-300)
     cosines = -np.einsum("fkc,fkc->fk", edges, np.roll(edges, 1, axis=1))
     weights = np.arccos(np.clip(cosines, -1.0, 1.0))[..., None] * face_normals[:, None]
     flat = faces.ravel()
