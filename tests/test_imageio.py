@@ -219,3 +219,17 @@ def test_unwritable_output(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match=r"use \.png or \.exr"):
         write_png(tmp_path / "a.nonsense", np.ones((2, 2, 3)))
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("suffix", [".png", ".exr"])
+def test_the_order_of_an_array_in_memory_does_not_matter(tmp_path: Path, suffix: str) -> None:
+    pixels = np.random.default_rng(1).random((3, 5, 4))  # channels first, as torch has them
+    written = []
+    for k, array in enumerate((np.moveaxis(pixels, 0, -1), np.moveaxis(pixels, 0, -1).copy())):
+        path = tmp_path / f"{k}{suffix}"
+        if suffix == ".png":
+            write_png(path, array)
+        else:
+            write_exr(path, {name: array[..., c].T.copy().T for c, name in enumerate("RGB")}, {})
+        written.append(path.read_bytes())
+    assert written[0] == written[1]

@@ -224,7 +224,8 @@ def _write(path: Path, spec: Any, pixels: NDArray[Any], metadata: Mapping[str, s
         target = oiio.ImageOutput.create(str(partial))
         if target is None:
             raise BadInput(f"{path}: {_one_line(oiio.geterror())}; use .png or .exr")
-        done = target.open(str(partial), spec) and target.write_image(pixels)
+        # OpenImageIO refuses arrays whose channels do not lie side by side.
+        done = target.open(str(partial), spec) and target.write_image(np.ascontiguousarray(pixels))
         if not (target.close() and done):
             raise WorkFailed(f"{path}: writing failed ({_one_line(target.geterror())})")
 
