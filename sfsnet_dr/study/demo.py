@@ -5,8 +5,6 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from sfsnet_dr.apply.decompose import reconstruction_error, take_apart
 from sfsnet_dr.apply.outputs import Decomposed, write_decomposed
@@ -29,10 +26,11 @@ from sfsnet_dr.fit.recipe import read_recipe
 from sfsnet_dr.fit.trainer import TrainResult, train
 from sfsnet_dr.metrics.normals import NormalErrors, angular_error_deg
 from sfsnet_dr.model.weights import load_weights
+from sfsnet_dr.report.console import bar
 from sfsnet_dr.report.record import Record, measured, write_records
 from sfsnet_dr.scene.spec import SceneSpec, load_scene
 from sfsnet_dr.study.doctor import Report, diagnose
-from sfsnet_dr.study.ladder import Ladder, climb
+from sfsnet_dr.study.ladder import Ladder, climb, study_lights
 from sfsnet_dr.study.validate import ladder_records
 
 FACES = 24
@@ -50,7 +48,7 @@ class DemoResult:
         doctor: the state of the installation.
         spec: of the rendered faces.
         bundles: the first rendered faces, for the contact sheet.
-        render_seconds: of all faces.
+        rendered, render_seconds: faces that this run rendered, and their time.
         ladders: one for each validated scene.
         training, history: what training gave, and a line for each step.
         photograph: the decomposed astronaut.
@@ -62,6 +60,7 @@ class DemoResult:
     doctor: Report
     spec: SceneSpec
     bundles: tuple[Bundle, ...]
+    rendered: int
     render_seconds: float
     ladders: tuple[Ladder, ...]
     training: TrainResult
@@ -92,7 +91,7 @@ def run_demo(out: Path | str, root: Path | str = ".", *, console: Console | None
     screen = console or Console(stderr=True)
     doctor = _doctor(screen)
     spec = load_scene(checkout / "scenes" / "faces.toml")
-    render_seconds = _render(spec, folder / "faces", screen)
+    rendered, render_seconds = _render(spec, folder / "faces", screen)
     ladders = tuple(_validate(checkout / "scenes" / f"{name}.toml", screen) for name in ("sphere", "head"))
     screen.rule("5/6  Train SfSNet for minutes", align="left")
     training = train(
@@ -111,6 +110,7 @@ def run_demo(out: Path | str, root: Path | str = ".", *, console: Console | None
         doctor=doctor,
         spec=spec,
         bundles=_first_bundles(folder / "faces"),
+        rendered=rendered,
         render_seconds=render_seconds,
         ladders=ladders,
         training=training,
@@ -172,19 +172,25 @@ def _doctor(screen: Console) -> Report:
     return report
 
 
-def _render(spec: SceneSpec, folder: Path, screen: Console) -> float:
+def _render(spec: SceneSpec, folder: Path, screen: Console) -> tuple[int, float]:
     screen.rule(f"2/6  Render {FACES} faces with their light transport", align="left")
-    begin = time.perf_counter()
-    with _bar(screen, "faces", FACES) as advance:
-        synthesize(folder, spec, FACES, resume=True, on_face=lambda seed: advance())
-    return time.perf_counter() - begin
+    begin, rendered = time.perf_counter(), 0
+    with bar("faces", FACES) as advance:
+
+        def on_face(seed: int) -> None:
+            nonlocal rendered
+            rendered += 1
+            advance()
+
+        synthesize(folder, spec, FACES, resume=True, on_face=on_face)
+    return rendered, time.perf_counter() - begin
 
 
 def _validate(path: Path, screen: Console) -> Ladder:
     spec = load_scene(path)
     number = 3 if spec.shape == "sphere" else 4
     screen.rule(f"{number}/6  Measure SH shading against the path tracer: {spec.name}", align="left")
-    with _bar(screen, "lights", 4) as advance:
+    with bar("lights", len(study_lights())) as advance:
         return climb(spec, on_light=lambda name: advance())
 
 
@@ -223,11 +229,3 @@ def _first_bundles(folder: Path) -> tuple[Bundle, ...]:
     from sfsnet_dr.data.bundle import read_bundle
 
     return tuple(read_bundle(path) for path in sorted(folder.glob("face-*.exr"))[:FACES])
-
-
-@contextmanager
-def _bar(screen: Console, what: str, total: int) -> Iterator[Callable[[], None]]:
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=screen) as progress:
-        task = progress.add_task(what, total=total)
-        yield lambda: progress.advance(task)

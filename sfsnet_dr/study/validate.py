@@ -179,7 +179,7 @@ def _percent(rung: Rung) -> str:
     error = rung.error
     if rung.group == "path tracer":
         return f"{100 * error.value:.1f}"
-    return f"{100 * error.value:.2f} ({100 * error.low:.2f} to {100 * error.high:.2f})"
+    return f"{100 * error.value:.1f} ({100 * error.low:.1f}–{100 * error.high:.1f})"  # noqa: RUF001
 
 
 def _crossover(ladder: Ladder, rung: Rung) -> str:
