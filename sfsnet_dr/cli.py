@@ -7,6 +7,7 @@ and nothing else; whatever a library prints goes to standard error.
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from contextlib import nullcontext
@@ -52,7 +53,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         command = parse(argv)
         with standard_output_to_error() if command.as_json else nullcontext():
             result = command.run()
-        print(result.json if command.as_json else result.text)
+        print(result.json if command.as_json else result.text, flush=True)
         return result.code
     except BadInput as error:
         return _fail(error, 2)
@@ -60,6 +61,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(error, 1)
     except KeyboardInterrupt:
         return _fail("interrupted", 130)
+    except BrokenPipeError:  # the reader, such as `head`, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
 
 
 def _fail(error: object, code: int) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+import shlex
 import subprocess
 import sys
 from collections.abc import Callable
@@ -330,3 +331,12 @@ def test_wrong_arguments_end_with_2(capfd: pytest.CaptureFixture[str]) -> None:
         main(["decompose", "--weight", "x"])
     assert end.value.code == 2
     assert capfd.readouterr().out == ""
+
+
+def test_a_reader_that_stops_early_sees_no_traceback() -> None:
+    done = subprocess.run(
+        f"{shlex.quote(sys.executable)} -c 'from sfsnet_dr.cli import main; main([\"doctor\", \"--json\"])' | head -c 1",
+        shell=True, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.stdout == "{"
+    assert done.stderr == ""
