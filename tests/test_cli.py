@@ -334,9 +334,8 @@ def test_wrong_arguments_end_with_2(capfd: pytest.CaptureFixture[str]) -> None:
 
 
 def test_a_reader_that_stops_early_sees_no_traceback() -> None:
-    done = subprocess.run(
-        f"{shlex.quote(sys.executable)} -c 'from sfsnet_dr.cli import main; main([\"doctor\", \"--json\"])' | head -c 1",
-        shell=True, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    code = 'from sfsnet_dr.cli import main; main(["doctor", "--json"])'
+    line = f"{shlex.quote(sys.executable)} -c {shlex.quote(code)} | head -c 1"
+    done = subprocess.run(line, shell=True, capture_output=True, text=True, check=False)
     assert done.stdout == "{"
     assert done.stderr == ""
