@@ -171,7 +171,8 @@ def _table(ladder: Ladder) -> Table:
         rows,
         "Relative RMS error in % against the path tracer, with 95 % intervals and the reference's noise "
         "taken out, and the warm time of one image. N* is the number of samples a pixel from which the path "
-        f"tracer is more accurate. Visibility needs a capture of {ladder.capture_seconds:.1f} s once a face.",
+        f"tracer is more accurate. Visibility needs a capture of {ladder.capture_seconds:.1f} s once a face, "
+        f"and on a convex shape shows the noise of its {ladder.spec.sampling.transport} directions.",
     )
 
 
