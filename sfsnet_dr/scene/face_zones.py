@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from sfsnet_dr.scene.head_regions import RegionWeights, smoothstep
 from sfsnet_dr.scene.per_head import per_head
@@ -20,7 +21,7 @@ Field = NDArray[np.float64]
 
 #: Heights of chin, mouth, base and tip of the nose, eyes and brows of the Anny head.
 _ANNY_HEIGHTS = np.array([6.161, 6.616, 6.765, 6.922, 7.284, 7.493])
-_ANNY_EYE_SIDE, _ANNY_MOUTH_SIDE, _ANNY_EYE_DEPTH = 0.308, 0.255, 1.245
+_ANNY_MOUTH_SIDE = 0.255
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,31 +91,34 @@ def face_zones(weights: RegionWeights) -> FaceZones:
 
 
 def _in_anny_frame(weights: RegionWeights) -> Array:
-    position = weights.neutral
-    eyes = position[weights.eyeball > 0.5]
-    lips = position[weights.lips > 0.5]
-    heights = _heights(weights, eyes[:, 1].mean(), lips[:, 1].mean())
-    warped = np.interp(position[:, 1], heights, _ANNY_HEIGHTS)
-    warped += np.minimum(position[:, 1] - heights[0], 0.0) + np.maximum(position[:, 1] - heights[-1], 0.0)
-    eye_scale = _ANNY_EYE_SIDE / np.abs(eyes[:, 0]).mean()
-    mouth_scale = _ANNY_MOUTH_SIDE / np.abs(lips[:, 0]).max()
-    scale = np.interp(warped, [_ANNY_HEIGHTS[1], _ANNY_HEIGHTS[4]], [mouth_scale, eye_scale])
-    shift = _ANNY_EYE_DEPTH - eyes[:, 2].mean()
-    return np.stack([np.abs(position[:, 0]) * scale, warped, position[:, 2] + shift], axis=1)
+    """(V, 3) side, height and depth with this head's mouth width and heights made Anny's."""
+    side, height, depth = np.abs(weights.neutral[:, 0]), weights.neutral[:, 1], weights.neutral[:, 2]
+    heights = _heights(weights)
+    warped = np.interp(height, heights, _ANNY_HEIGHTS)
+    warped += np.minimum(height - heights[0], 0.0) + np.maximum(height - heights[-1], 0.0)
+    width = side[weights.lips > 0.5].max(initial=0.0) or _ANNY_MOUTH_SIDE
+    scale = np.interp(warped, _ANNY_HEIGHTS[[1, 4]], [_ANNY_MOUTH_SIDE / width, 1.0])
+    return np.stack([side * scale, warped, depth], axis=1)
 
 
-def _heights(weights: RegionWeights, eye: float, mouth: float) -> Array:
-    """Chin, mouth, base and tip of the nose, eyes and brows of this head, rising."""
-    position = weights.neutral
-    side, height, depth = np.abs(position[:, 0]), position[:, 1], position[:, 2]
-    on_face = (weights.face > 0.5) & (weights.mouth_inside < 0.5)
-    chin = height[on_face & (side < 0.1)].min()
-    bridge = on_face & (side < 0.06) & (height > mouth + 0.1 * (eye - mouth)) & (height < eye)
-    tip = height[bridge][depth[bridge].argmax()]
-    philtrum = bridge & (height < tip)
-    base = height[philtrum][depth[philtrum].argmin()]
-    brow = np.average(height, weights=weights.brow)
-    return np.array([chin, mouth, base, tip, eye, brow])
+def _heights(weights: RegionWeights) -> Array:
+    """Chin, mouth, base and tip of the nose, eyes and brows of this head, rising.
+
+    The eyes stand at Anny's height in the common frame of all face models. A mesh too coarse to show its nose
+    on the middle line keeps its heights: these are then Anny's.
+    """
+    side, height, depth = np.abs(weights.neutral[:, 0]), weights.neutral[:, 1], weights.neutral[:, 2]
+    eye, lips = _ANNY_HEIGHTS[4], weights.lips > 0.5
+    middle = (weights.face > 0.5) & (weights.mouth_inside < 0.5) & (side < 0.008)  # between the nostrils
+    nose = middle & (height > _ANNY_HEIGHTS[1] + 0.08) & (height < eye)
+    if not (nose.any() and lips.any() and weights.brow.any()):
+        return _ANNY_HEIGHTS
+    mouth, brow = height[lips].mean(), np.average(height, weights=weights.brow)
+    tip = height[nose][depth[nose].argmax()]
+    under = nose & (height < tip - 0.05)
+    base = height[under][depth[under].argmin()] if under.any() else mouth
+    heights = np.array([height[middle].min(), mouth, base, tip, eye, brow])
+    return heights if (np.diff(heights) > 0.0).all() else _ANNY_HEIGHTS
 
 
 def _spot(place: Array, side: float, height: float, width: float, tall: float) -> Field:
@@ -144,22 +148,24 @@ def _jaw(place: Array) -> Field:
 
 
 def _mouth_corner(weights: RegionWeights, place: Array) -> Field:
-    corner = place[(weights.lips > 0.5) & (place[:, 0] > 0.94 * _ANNY_MOUTH_SIDE)].mean(axis=0)
+    lips = place[weights.lips > 0.5]
+    if not len(lips):
+        return np.zeros(len(place))
+    corner = lips[lips[:, 0] > 0.94 * lips[:, 0].max()].mean(axis=0)
     return _spot(place, float(corner[0]), float(corner[1]), 0.06, 0.05)
 
 
 def _lash(weights: RegionWeights, place: Array) -> Field:
     """The rims of the lids, found by their closeness to the eyeball; the upper one is the darker."""
-    position, eyeball = weights.neutral, weights.eyeball > 0.5
-    lash = np.zeros(len(position))
-    for sign in (-1.0, 1.0):
-        mine = position[:, 0] * sign > 0
-        centre = position[eyeball & mine].mean(axis=0)
-        radius = np.linalg.norm(position[eyeball & mine] - centre, axis=1).mean()
-        away = np.linalg.norm(position - centre, axis=1) / radius
-        upper = 0.35 + 0.65 * smoothstep(7.265, 7.30, place[:, 1])
-        lash = np.where(mine, smoothstep(1.36, 1.14, away) * upper, lash)
-    return np.asarray(lash * (1.0 - weights.eyeball) * smoothstep(0.12, 0.20, place[:, 0]))
+    lash = np.zeros(len(place))
+    eyeball = weights.neutral[weights.eyeball > 0.5]
+    near = np.flatnonzero((weights.eyelid > 0.0) & (weights.eyeball < 0.5))
+    if not (len(eyeball) and len(near)):
+        return lash
+    distance, _ = cKDTree(eyeball).query(weights.neutral[near])
+    upper = 0.35 + 0.65 * smoothstep(7.265, 7.30, place[near, 1])
+    lash[near] = smoothstep(0.05, 0.02, distance) * upper
+    return lash * smoothstep(0.12, 0.20, place[:, 0]) * (1.0 - weights.eyeball)
 
 
 def _hairline(place: Array) -> Field:
@@ -175,5 +181,7 @@ def _hairline(place: Array) -> Field:
 def _brow_middle(weights: RegionWeights, place: Array) -> Field:
     """A parabola through the brow weights, the same for both sides."""
     brow = weights.brow > 0.3
+    if np.count_nonzero(brow) < 6:
+        return np.full(len(place), _ANNY_HEIGHTS[-1])
     fit = np.polyfit(place[brow, 0], place[brow, 1], 2, w=np.sqrt(weights.brow[brow]))
     return np.asarray(np.polyval(fit, np.clip(place[:, 0], 0.1, 0.6)))
