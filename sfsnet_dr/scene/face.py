@@ -87,8 +87,8 @@ def sample_face(seed: int, spec: SceneSpec) -> Face:
     vertices = np.asarray(shared.refine @ coarse[:-2])
     eyes = coarse[-2:] + np.array([0.0, 0.0, _EYE_SURFACE])
     points = np.vstack([eyes, vertices])
-    pose = Pose.sample(_stream(seed, _POSE), spec.head)
-    placed = place(points, eyes, pose, spec.camera)
+    pose = Pose.sample(_stream(seed, _POSE), spec.head, spec.camera)
+    placed = place(points, eyes, pose, pose.camera(spec.camera))
     mesh = Mesh(
         vertices=placed[2:],
         faces=shared.faces,

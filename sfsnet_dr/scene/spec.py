@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.base.config import load_toml
 from sfsnet_dr.base.conventions import FACE_SIZE
+from sfsnet_dr.scene.light_spec import LightSpec
 
 
 @dataclass(frozen=True)
@@ -18,10 +19,14 @@ class CameraSpec:
     Attributes:
         distance: scene units; one unit is about 104 mm on a face, so that 12 is a portrait at 1.25 m.
         size: width and height of the image in pixels.
+        focal: range of focal lengths, mm on 36 x 24 mm film, from which each face's camera is drawn: it then
+            stands where the view fills .4 of the film's width (26 mm: 3.6 units, 85: 11.8, 200: 27.8). Left
+            out, all faces are seen from ``distance``.
     """
 
     distance: float = 12.0
     size: int = FACE_SIZE
+    focal: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -32,7 +37,7 @@ class HeadSpec:
         subdivision: levels of Catmull-Clark (each multiplies the triangles by 4; 2 gives 158,000).
         identity: standard deviation of the local shape changes, of their full range of 1.
         expression: probability of any expression.
-        yaw, pitch, roll: greatest angles in degrees.
+        yaw, pitch, roll: greatest angles in degrees; small ones of yaw and pitch are more frequent.
         scale_jitter: greatest relative change of the canonical scale.
         shift_jitter: greatest shift in pixels of the canonical frame.
     """
@@ -70,6 +75,7 @@ class SceneSpec:
         name: a short word, used in file names and records.
         shape: ``"anny"`` (a seeded head), ``"sphere"`` or ``"plane"``.
         albedo: one linear colour for the whole surface; left out, a head gets a seeded skin.
+        light: which lights fall on it.
     """
 
     name: str
@@ -77,6 +83,7 @@ class SceneSpec:
     albedo: tuple[float, float, float] | None = None
     camera: CameraSpec = CameraSpec()
     head: HeadSpec = HeadSpec()
+    light: LightSpec = field(default_factory=LightSpec)
     sampling: SamplingSpec = SamplingSpec()
 
 
@@ -101,6 +108,8 @@ def load_scene(path: Path | str) -> SceneSpec:
         "sampling.transport": (spec.sampling.transport, 1, 65536),
         "sampling.reference": (spec.sampling.reference, 2, 65536),
     }
+    limits |= {f"camera.focal[{k}]": (value, 22.0, 1000.0) for k, value in enumerate(spec.camera.focal or ())}
+    limits |= {f"light.{key}": limit for key, limit in spec.light.limits().items()}
     limits |= {f"albedo[{k}]": (value, 0.0, 1.0) for k, value in enumerate(spec.albedo or ())}
     for key, (value, low, high) in limits.items():
         if not low <= value <= high:
