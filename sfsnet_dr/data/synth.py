@@ -132,8 +132,8 @@ def render_file(spec: SceneSpec, scratch: Path | None, seed: int) -> bytes:
             check_end(path)
         except WorkFailed as error:
             raise BadInput(
-                f"{scratch or path.parent}: a bundle cannot be written, is the disk full? Free some space and "
-                f"go on with --resume ({error})"
+                f"{scratch or path.parent}: a bundle cannot be written, is the disk full? Free some space "
+                f"and go on with --resume ({error})"
             ) from error
         return path.read_bytes()
 
