@@ -9,9 +9,9 @@ import shlex
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 from tyro.conf import Positional, arg
 
@@ -56,30 +56,99 @@ class Doctor:
 class Synth:
     """Render faces: normals, albedo, mask, path-traced reference and light transport, one EXR a face.
 
-    The same seed gives the same files, however many workers run. A stopped run goes on with --resume.
+    The same seed gives the same files, however many workers run and wherever they do. A stopped run goes on
+    with --resume.
 
-    Example: sfsnet-dr synth scenes/faces.toml --out out/faces --count 24
+    Example: sfsnet-dr synth --out out/faces --count 24 --face-model anny
     """
 
-    scene: Positional[Annotated[Path, arg(help='Scene (TOML) with shape = "anny".')]]
     out: Out
     count: Annotated[int, arg(help="Faces to render.")] = 24
+    face_model: Annotated[
+        Literal["anny", "ict", "basel"] | None,
+        arg(help="Where heads come from, in place of the scene's. anny needs no files."),
+    ] = None
+    model_path: Annotated[
+        Path | None,
+        arg(metavar="PATH", help="The face model: ict's .npz or FaceXModel folder, basel's .h5."),
+    ] = None
+    scene: Annotated[
+        Path | None, arg(metavar="FILE", help="Scene (TOML); left out, that of scenes/faces.toml.")
+    ] = None
     seed: Annotated[int, arg(help="Seed of the first face; the next ones follow.")] = 0
     workers: Annotated[int, arg(help="Processes that render side by side.")] = 1
     resume: Annotated[bool, arg(help="Keep the faces that are there and render the missing ones.")] = False
+    ray: Annotated[
+        str | None,
+        arg(metavar="ADDRESS", help="Render on Ray: local, or HOST:PORT of a running cluster."),
+    ] = None
     as_json: Json = False
 
     def run(self) -> Result:
         from sfsnet_dr.report.record import measured
-        from sfsnet_dr.scene.spec import load_scene
 
-        begin, rendered = time.perf_counter(), _render_faces(load_scene(self.scene), self)
+        begin, rendered = time.perf_counter(), _render_faces(self.spec(), self)
         seconds = time.perf_counter() - begin
         records = [measured("synth.faces", rendered, "faces", command=command_line(), seed=self.seed)]
         if rendered:
             each = measured("synth.seconds_per_face", seconds / rendered, "s", command=command_line())
             records.append(each)
         return _of_records(records, f"written: {self.out}")
+
+    def spec(self) -> SceneSpec:
+        """The scene with the options in place of what it says."""
+        from sfsnet_dr.scene.spec import SceneSpec, load_scene
+
+        spec = SceneSpec("faces", "anny") if self.scene is None else load_scene(self.scene)
+        if self.face_model is not None:
+            kept = spec.model_path if self.face_model == spec.shape else None
+            spec = replace(spec, shape=self.face_model, model_path=kept)
+        return spec if self.model_path is None else replace(spec, model_path=str(self.model_path))
+
+
+@dataclass(frozen=True)
+class Show:
+    """A contact sheet of rendered faces: sheet.png and a page, index.html, with the spread of skin tones.
+
+    Example: sfsnet-dr show out/faces --out out/sheet
+    """
+
+    data: Positional[Annotated[Path, arg(metavar="DIR", help="Folder that `sfsnet-dr synth` wrote.")]]
+    out: Out
+    count: Annotated[int, arg(help="Faces on the sheet, evenly out of all.")] = 24
+    as_json: Json = False
+
+    def run(self) -> Result:
+        from sfsnet_dr.study.contact_sheet import show
+
+        records = show(self.data, self.out, self.count, command=command_line())
+        return _of_records(records, f"page: {self.out / 'index.html'}", f"sheet: {self.out / 'sheet.png'}")
+
+
+@dataclass(frozen=True)
+class Relight:
+    """One rendered face under another light, as a PNG.
+
+    Example: sfsnet-dr relight out/faces/face-000003.exr --direction=-1,0.3,0.6 --out out/relit.png
+    """
+
+    bundle: Positional[Annotated[Path, arg(metavar="BUNDLE", help="EXR that `sfsnet-dr synth` wrote.")]]
+    out: Annotated[Path, arg(metavar="FILE", help="Picture to write (.png).")]
+    env: Annotated[
+        Path | None, arg(metavar="MAP", help="Environment map (.exr, .hdr), twice as wide as high.")
+    ] = None
+    direction: Annotated[
+        str | None,
+        arg(metavar="X,Y,Z", help="Toward one white lamp: x to the image's right, y up, z to the viewer."),
+    ] = None
+    exposure: Annotated[float, arg(help="Mean shading of a white face, 1 being the picture's white.")] = 0.8
+    as_json: Json = False
+
+    def run(self) -> Result:
+        from sfsnet_dr.study.contact_sheet import relight_file
+
+        relight_file(self.bundle, self.out, self.env, self.direction, self.exposure)
+        return _of_records([], f"written: {self.out}")
 
 
 @dataclass(frozen=True)
@@ -110,7 +179,7 @@ class Train:
         recipe = read_recipe(self.recipe)
         data = self.data or self.out / "faces"
         if self.data is None:
-            _render_faces(SceneSpec("faces", "anny"), Synth(self.recipe, data, self.faces, resume=True))
+            _render_faces(SceneSpec("faces", "anny"), Synth(data, self.faces, resume=True))
         result = train(recipe, data, self.out, resume=self.resume, progress=True)
         records = [
             measured(f"train.loss.{dotted(term)}", value, "1", command=command_line(), seed=recipe.seed)
@@ -211,12 +280,14 @@ class Demo:
         return _of_records(run_demo(self.out), f"report: {self.out / 'index.html'}")
 
 
-Command = Doctor | Synth | Train | Decompose | Validate | Demo
+Command = Doctor | Synth | Show | Relight | Train | Decompose | Validate | Demo
 
 #: Commands by the name on the command line, with the line that the overview shows.
 COMMANDS: Final[dict[str, tuple[type[Command], str]]] = {
     "doctor": (Doctor, "Check that this machine can render"),
     "synth": (Synth, "Render faces with their ground truth"),
+    "show": (Show, "Make a contact sheet of rendered faces"),
+    "relight": (Relight, "Put one rendered face under another light"),
     "train": (Train, "Train a network by a recipe"),
     "decompose": (Decompose, "Take photographs of faces apart"),
     "validate": (Validate, "Measure the SH renderer against the path tracer"),
@@ -248,6 +319,7 @@ def _render_faces(scene: SceneSpec, wanted: Synth) -> int:
             seed=wanted.seed,
             workers=wanted.workers,
             resume=wanted.resume,
+            ray=wanted.ray,
             on_face=on_face,
         )
     return len(rendered)

@@ -178,12 +178,12 @@ def missing_recipe(folder: Path) -> list[str]:
 
 def unknown_scene_key(folder: Path) -> list[str]:
     (folder / "scene.toml").write_text('name = "x"\nshape = "anny"\nalbido = [0.5, 0.5, 0.5]\n')
-    return ["synth", str(folder / "scene.toml"), "--out", str(folder / "out")]
+    return ["synth", "--scene", str(folder / "scene.toml"), "--out", str(folder / "out")]
 
 
 def no_faces(folder: Path) -> list[str]:
     (folder / "scene.toml").write_text('name = "x"\nshape = "anny"\n')
-    return ["synth", str(folder / "scene.toml"), "--out", str(folder / "out"), "--count", "0"]
+    return ["synth", "--scene", str(folder / "scene.toml"), "--out", str(folder / "out"), "--count", "0"]
 
 
 def unknown_command(_: Path) -> list[str]:

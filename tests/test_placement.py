@@ -1,72 +1,94 @@
-"""The canonical frame: eyes land where they must, and the signs of a pose mean what they say."""
-
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from sfsnet_dr.scene.placement import Pose, place, project
+from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.base.conventions import EYE_IMAGE_LEFT, EYE_IMAGE_RIGHT
+from sfsnet_dr.scene.placement import Pose, distance_of, place, project
 from sfsnet_dr.scene.spec import CameraSpec, HeadSpec
 
-EYES = np.array([[-0.3, 7.3, 1.2], [0.3, 7.3, 1.2]])
-NOSE = np.array([[0.0, 6.9, 1.7]])
-CHIN = np.array([[0.0, 6.2, 1.4]])
+#: A head of straws, decimetres: eyes, nose, chin, crown.
+EYES = np.array([[-0.31, 7.28, 1.2], [0.31, 7.28, 1.2]])
+NOSE, CHIN, CROWN = [0.0, 6.9, 1.5], [0.0, 6.1, 1.2], [0.0, 8.6, 0.4]
+HEAD = np.vstack([EYES, NOSE, CHIN, CROWN])
+WIDE = HeadSpec(yaw=60, pitch=30, roll=10, scale_jitter=0.1, shift_jitter=4)
+LENSES = CameraSpec(focal=(26.0, 200.0))
 
 
-def pinhole(points: np.ndarray, distance: float) -> np.ndarray:
-    """Pixels by similar triangles, written out apart from the code under test."""
-    x = points[:, 0] * distance / (distance - points[:, 2])
-    y = points[:, 1] * distance / (distance - points[:, 2])
-    return np.stack([64 + 64 * x, 64 - 64 * y], axis=1)
+def seen(pose: Pose) -> np.ndarray:
+    """Pixels of the head's points."""
+    camera = pose.camera(CameraSpec())
+    return project(place(HEAD, EYES, pose, camera), camera)
 
 
-def placed(pose: Pose, camera: CameraSpec = CameraSpec()) -> np.ndarray:  # noqa: B008  (frozen)
-    return place(np.concatenate([EYES, NOSE, CHIN]), EYES, pose, camera)
+@pytest.mark.parametrize("distance", [3.6, 12.0, 1000.0])
+@pytest.mark.parametrize("yaw", [0.0, -35.0, 60.0])
+def test_eyes_are_in_their_canonical_places(yaw: float, distance: float) -> None:
+    pixels = seen(Pose(yaw=yaw, pitch=20.0, distance=distance))
+    # ``place`` stops within .001 pixel.
+    np.testing.assert_allclose(pixels[:2], [EYE_IMAGE_LEFT, EYE_IMAGE_RIGHT], atol=1.5e-3)
 
 
-def test_a_frontal_face_has_its_eyes_at_the_canonical_pixels() -> None:
-    seen = pinhole(placed(Pose()), 12.0)
-    np.testing.assert_allclose(seen[:2], [[45, 48], [83, 48]], atol=1e-6)
-    assert seen[2, 0] == pytest.approx(64, abs=1e-6)
-    assert seen[3, 1] > seen[2, 1] > 48  # the chin below the nose below the eyes
+def test_signs_of_the_angles() -> None:
+    straight = seen(Pose())
+    assert straight[2, 0] == pytest.approx(64.0, abs=1e-2)
+    assert seen(Pose(yaw=30.0))[2, 0] > 70.0  # the nose moves to the image right
+    assert seen(Pose(pitch=20.0))[2, 1] > straight[2, 1]  # and looks down: it moves down
+    left, right = seen(Pose(roll=10.0))[:2]
+    assert left[1] > right[1]  # counter-clockwise: the image-left eye sinks
+    slope = np.degrees(np.arctan2(left[1] - right[1], right[0] - left[0]))
+    assert slope == pytest.approx(10.0, abs=1e-2)
 
 
-@pytest.mark.parametrize("seed", range(8))
-def test_any_pose_brings_the_eyes_to_its_similarity_transform(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    camera = CameraSpec(distance=float(rng.uniform(4, 40)))
-    head = HeadSpec(yaw=55, pitch=28, roll=30, scale_jitter=0.2, shift_jitter=6)
-    pose = Pose.sample(rng, head)
-    centre, angle = np.array([64.0, 64.0]), np.radians(pose.roll)
-    # Counter-clockwise as seen; rows run down, so the sine changes sign.
-    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    canonical = np.array([[45.0, 48.0], [83.0, 48.0]])
-    target = centre + pose.scale * (canonical - centre) @ turn.T + pose.shift
-    # .01 pixel is what `place` promises for strong turns close to the camera; typical is 1e-6.
-    np.testing.assert_allclose(pinhole(placed(pose, camera), camera.distance)[:2], target, atol=0.01)
+def test_scale_and_shift() -> None:
+    pixels = seen(Pose(scale=1.1, shift=(3.0, -2.0)))
+    assert np.linalg.norm(pixels[1] - pixels[0]) == pytest.approx(38 * 1.1, abs=5e-3)
+    middle = np.array([64.0, 48.0])
+    expected = (middle - 64.0) * 1.1 + 64.0 + [3.0, -2.0]
+    np.testing.assert_allclose(pixels[:2].mean(axis=0), expected, atol=2e-3)
 
 
-def test_positive_yaw_turns_the_nose_to_the_image_right() -> None:
-    assert pinhole(placed(Pose(yaw=20)), 12.0)[2, 0] > 64 + 3
+def test_near_cameras_enlarge_the_nose_and_hide_the_crown() -> None:
+    near, far = seen(Pose(distance=3.6)), seen(Pose(distance=28.0))
+
+    def reach(pixels: np.ndarray, point: int) -> float:
+        """From the middle of the picture, at which the camera looks."""
+        return float(abs(pixels[point, 1] - 64.0))
+
+    assert reach(near, 2) > 1.05 * reach(far, 2)
+    assert reach(near, 4) < 0.9 * reach(far, 4)
 
 
-def test_positive_pitch_looks_down() -> None:
-    straight, down = (pinhole(placed(Pose(pitch=p)), 12.0) for p in (0, 15))
-    assert down[2, 1] > straight[2, 1] + 2
+def test_distances_follow_the_lens() -> None:
+    # The view's 2 units fill .4 of 36 mm: similar triangles.
+    assert distance_of(36.0) == pytest.approx(5.0)
+    assert distance_of(200.0) / distance_of(26.0) == pytest.approx(200 / 26)
+    rng = np.random.default_rng(0)
+    distances = np.array([Pose.sample(rng, WIDE, LENSES).distance for _ in range(2000)])
+    assert distance_of(26.0) <= distances.min() < 1.02 * distance_of(26.0)
+    assert 0.98 * distance_of(200.0) < distances.max() <= distance_of(200.0)
+    # Log-uniform: the median is the geometric mean, 72 mm; 4 sigma of 2000 draws.
+    assert np.median(distances) == pytest.approx(distance_of(np.sqrt(26 * 200)), rel=0.1)
+    assert Pose.sample(rng, WIDE, CameraSpec(distance=9.0)).distance == 9.0
 
 
-def test_positive_roll_lifts_the_right_eye() -> None:
-    seen = pinhole(placed(Pose(roll=10)), 12.0)
-    assert seen[1, 1] < seen[0, 1] - 3
+def test_poses_stay_within_their_limits_and_reach_far() -> None:
+    rng = np.random.default_rng(1)
+    poses = [Pose.sample(rng, WIDE, LENSES) for _ in range(2000)]
+    values = np.array([(p.yaw, p.pitch, p.roll, 100 * (p.scale - 1), *p.shift) for p in poses])
+    limits = np.array([60, 30, 10, 10, 4, 4])
+    assert np.all(np.abs(values) <= limits)
+    assert np.all(np.abs(values).max(axis=0) > 0.95 * limits)
+    # Standard deviations of a triangle and of a uniform density: limit / sqrt 6 and sqrt 3; 4 sigma of them.
+    spread = values.std(axis=0) / limits
+    np.testing.assert_allclose(spread, [6**-0.5] * 2 + [3**-0.5] * 4, rtol=0.06)
+    for pose in poses[:200]:
+        camera = pose.camera(LENSES)
+        assert camera.focal is None
+        assert np.isfinite(place(HEAD, EYES, pose, camera)).all()
 
 
-def test_placing_keeps_the_shape() -> None:
-    points = placed(Pose(yaw=30, pitch=-10, roll=20))
-    before = np.concatenate([EYES, NOSE, CHIN])
-    ratio = np.linalg.norm(points[2] - points[3]) / np.linalg.norm(before[2] - before[3])
-    assert np.linalg.norm(points[0] - points[1]) == pytest.approx(ratio * 0.6, rel=1e-12)
-
-
-def test_project_is_the_pinhole() -> None:
-    points = np.random.default_rng(0).uniform(-1, 1, (50, 3))
-    np.testing.assert_allclose(project(points, CameraSpec(distance=7.0)), pinhole(points, 7.0), rtol=1e-12)
+def test_a_camera_in_the_face_is_refused() -> None:
+    with pytest.raises(BadInput, match=r"camera\.distance"):
+        seen(Pose(yaw=60.0, distance=0.3))

@@ -9,7 +9,8 @@ from spheres import sphere_bundle
 
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.data.flip import flip_map, flip_normal, flip_transport, x_parity
-from sfsnet_dr.data.relight import relight, relight_batch
+from sfsnet_dr.data.relight import mixture, relight, relight_batch, relight_scene
+from sfsnet_dr.scene.lights import SceneLight, heading, rotation_about
 from sfsnet_dr.sh.basis import sh_basis
 from sfsnet_dr.sh.coefficients import Radiance
 
@@ -82,3 +83,57 @@ def test_reflected_normals_shade_as_the_reflected_transport() -> None:
     expected = albedo * light.to_shading().evaluate(np.moveaxis(normal, 0, -1).astype(np.float64))
     transport = flip_transport(torch.from_numpy(np.moveaxis(bundle.transport, -1, 1).copy())).numpy()
     np.testing.assert_allclose(relight(np.moveaxis(transport, 1, -1), light), expected, atol=2e-6)
+
+
+def lit() -> SceneLight:
+    """A dim room, a lamp of the bundle's own and one from elsewhere."""
+    room = np.full((64, 128, 3), 0.2)
+    near = rotation_about(np.array([1.0, 0.0, 0.0]), 1.0) @ heading(30.0, 0.0)
+    return SceneLight("lit", room, ((near, np.array([3.0, 2, 1])), (heading(-60.0, 10.0), np.ones(3))))
+
+
+def test_lamps_go_to_the_nearest_direction_or_into_the_coefficients() -> None:
+    directions = np.stack([heading(35.0, 0.0), heading(30.0, 0.0), heading(-50.0, 10.0)])
+    light = lit()
+    mixed = mixture(light, directions, 2)
+    np.testing.assert_allclose(mixed.irradiance, [[0, 0, 0], [3, 2, 1], [0, 0, 0]])
+    rest = SceneLight("rest", light.environment, light.directional[1:])
+    np.testing.assert_allclose(mixed.radiance, rest.coefficients(2).values, atol=1e-14)
+    none = mixture(light, np.zeros((0, 3)), 2)
+    np.testing.assert_allclose(none.radiance, light.coefficients(2).values, atol=1e-14)
+    assert none.irradiance.shape == (0, 3)
+
+
+def test_a_scene_is_the_sum_of_its_responses() -> None:
+    bundle, rng = sphere_bundle(1), np.random.default_rng(0)
+    directions = np.stack([heading(30.0, 0.0), heading(-50.0, 10.0)])
+    lamps = bundle.albedo * np.maximum(bundle.normal @ directions.T, 0).transpose(2, 0, 1)[..., None] / np.pi
+    gloss = rng.uniform(size=(9, *bundle.mask.shape))
+    mixed = mixture(lit(), directions, 2)
+    plain = relight_scene(bundle.transport, gloss[:0], lamps, mixed)
+    # The lamp of the bundle is Lambert's law of the exact direction 1 degree away; the rest is order 2.
+    toward, power = directions[0], np.array([3.0, 2, 1])
+    hard = bundle.albedo * np.maximum(bundle.normal @ toward, 0)[..., None] * power / np.pi
+    np.testing.assert_allclose(plain, hard + relight(bundle.transport, Radiance(mixed.radiance)), atol=2e-6)
+    shiny = relight_scene(bundle.transport, gloss, lamps, mixed)
+    np.testing.assert_allclose(shiny - plain, np.einsum("khw,kc->hwc", gloss, mixed.radiance), atol=1e-12)
+
+    def batch(*arrays: np.ndarray) -> list[torch.Tensor]:
+        return [torch.from_numpy(np.array(a))[None] for a in arrays]
+
+    transport, lamp_images = np.moveaxis(bundle.transport, -1, 1), np.moveaxis(lamps, -1, 1)
+    inputs = batch(transport, mixed.radiance, gloss, lamp_images, mixed.irradiance)
+    image = np.moveaxis(relight_batch(*inputs)[0].numpy(), 0, -1)
+    np.testing.assert_allclose(image, shiny, atol=2e-5)  # float32 sums of up to 20
+
+
+def test_responses_that_do_not_fit_are_refused() -> None:
+    bundle = sphere_bundle(0)
+    mixed = mixture(lit(), np.zeros((0, 3)), 2)
+    size = bundle.mask.shape
+    with pytest.raises(BadInput, match="gloss"):
+        relight_scene(bundle.transport, np.zeros((4, *size)), np.zeros((0, *size, 3)), mixed)
+    with pytest.raises(BadInput, match="lamps"):
+        relight_scene(bundle.transport, np.zeros((9, *size)), np.zeros((2, *size, 3)), mixed)
+    with pytest.raises(BadInput, match="belong together"):
+        relight_batch(torch.zeros(1, 9, 3, 4, 4), torch.zeros(1, 9, 3), lamps=torch.zeros(1, 2, 3, 4, 4))

@@ -53,14 +53,35 @@ def luminance(linear: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(_check_colours("linear", linear) @ LUMINANCE)
 
 
+def linear_to_lab(linear: ArrayLike) -> NDArray[np.float64]:
+    """CIE L*, a*, b* (..., 3) of linear colours (..., 3) with white (1, 1, 1)."""
+    return np.asarray(_colour().XYZ_to_Lab(_check_colours("linear", linear) @ RGB_TO_XYZ.T, _D65))
+
+
 def delta_e_2000(linear_a: ArrayLike, linear_b: ArrayLike) -> NDArray[np.float64]:
     """CIE Delta E 2000 (...) between linear colours (..., 3) with white (1, 1, 1); 1 is just noticeable."""
-    colour = _colour()
     labs = [
-        colour.XYZ_to_Lab(_check_colours(name, linear) @ RGB_TO_XYZ.T, _D65)
+        linear_to_lab(_check_colours(name, linear))
         for name, linear in (("linear_a", linear_a), ("linear_b", linear_b))
     ]
-    return np.asarray(colour.delta_E(*labs, method="CIE 2000"))
+    return np.asarray(_colour().delta_E(*labs, method="CIE 2000"))
+
+
+def reflectance_weights(wavelengths: ArrayLike) -> NDArray[np.float64]:
+    """(N, 3) weights W such that a reflectance spectrum (..., N) @ W is its linear colour in daylight.
+
+    The CIE 1931 observer under D65, both from colour-science, resampled to the given equal steps. The
+    columns are scaled so that a white of reflectance 1 is exactly (1, 1, 1), whatever the steps leave out.
+
+    Args:
+        wavelengths: (N,) in nm, increasing in equal steps.
+    """
+    colour, steps = _colour(), np.asarray(wavelengths, dtype=np.float64)
+    shape = colour.SpectralShape(steps[0], steps[-1], steps[1] - steps[0])
+    observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(shape).values
+    daylight = colour.SDS_ILLUMINANTS["D65"].copy().align(shape).values
+    weights = np.linalg.solve(RGB_TO_XYZ, (observer * daylight[:, None]).T).T
+    return np.asarray(weights / weights.sum(axis=0))
 
 
 def blackbody_tint(kelvin: float) -> NDArray[np.float64]:

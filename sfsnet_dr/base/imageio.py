@@ -146,6 +146,27 @@ def read_exr(path: Path | str) -> tuple[dict[str, NDArray[np.float32]], dict[str
     return planes, {name: value for name, value in _metadata(spec).items() if isinstance(value, str)}
 
 
+def check_end(path: Path | str) -> None:
+    """Prove that a file's last row can be read, for the end of a file can be lost without a word.
+
+    OpenImageIO does not report it when a full disk cuts off no more than its last buffer.
+
+    Raises:
+        WorkFailed: if the file is cut short.
+    """
+    import OpenImageIO as oiio
+
+    source = oiio.ImageInput.open(str(path))
+    whole = False
+    if source is not None:
+        spec = source.spec()
+        rows = source.read_scanlines(0, 0, spec.height - 1, spec.height, 0, 0, spec.nchannels, oiio.FLOAT)
+        whole = rows is not None and not source.geterror()
+        source.close()
+    if not whole:
+        raise WorkFailed(f"{path}: writing failed (the file is cut short)")
+
+
 def _decode(path: Path, hints: Any, only: str | None = None) -> tuple[NDArray[np.float32], Any]:
     import OpenImageIO as oiio
 

@@ -2,33 +2,39 @@
 
 from __future__ import annotations
 
-import multiprocessing
-from collections.abc import Callable, Iterable, Iterator
+import errno
+import fcntl
+import os
+import shutil
+import tempfile
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sfsnet_dr.base import provenance, runtime
-from sfsnet_dr.base.atomic import output_dir
-from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.base import provenance
+from sfsnet_dr.base.atomic import atomic_path, output_dir
+from sfsnet_dr.base.checks import BadInput, WorkFailed
 from sfsnet_dr.base.config import as_dict, fingerprint
 from sfsnet_dr.base.conventions import LIGHT_ORDER
-from sfsnet_dr.data.bundle import Bundle, BundleMeta, write_bundle
-from sfsnet_dr.data.manifest import Entry, Manifest
-from sfsnet_dr.scene.spec import SceneSpec
+from sfsnet_dr.base.imageio import check_end
+from sfsnet_dr.data.bundle import Bundle, BundleMeta, read_bundle, write_bundle
+from sfsnet_dr.data.manifest import NAME, Entry, Manifest
+from sfsnet_dr.data.workers import choose
+from sfsnet_dr.scene.spec import FACE_SHAPES, SceneSpec
 from sfsnet_dr.sh.priors import sample_lights
 
 if TYPE_CHECKING:
     from sfsnet_dr.scene.mesh import Mesh
     from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
 
-#: Faces after which a worker process is replaced: thousands of renders in one process have been seen to hang.
-FACES_PER_WORKER = 200
-
 _LIGHT_STREAM = 16  # random stream of a seed's light, apart from those of its face
+_PARTIAL = ".partial-"
 
 _scene: SurfaceScene | None = None  # one per process: another would compile and upload all anew
 
@@ -41,54 +47,95 @@ def synthesize(
     seed: int = 0,
     workers: int = 1,
     resume: bool = False,
+    ray: str | None = None,
     on_face: Callable[[int], None] | None = None,
 ) -> Manifest:
     """Render faces ``seed .. seed + count - 1`` into a folder.
 
-    The bytes of a bundle depend on the spec and its seed alone, not on the number of workers or on
-    interruptions.
+    The bytes of a bundle depend on the spec and its seed alone, not on the number of workers, on where they
+    run or on interruptions. Only this process writes into the folder's list, in the order of the seeds; a
+    bundle that is not listed yet when all is cut off is rendered again.
 
     Args:
         out: folder; it gets ``face-NNNNNN.exr`` and ``manifest.jsonl``.
-        spec: a scene whose shape is ``"anny"``.
+        spec: a scene whose shape is a face model.
         count: number of faces, at least 1.
         seed: first seed, at least 0.
-        workers: processes; 1 renders in this process.
+        workers: faces rendered side by side; a single one is rendered in this process.
         resume: continue a folder that already holds bundles of this spec.
+        ray: None, ``"local"`` or the address of a Ray cluster; see ``data.workers.choose``.
         on_face: called with a seed when its bundle is in place.
 
     Raises:
-        BadInput: for a folder that holds another dataset, or this one without ``resume``.
+        BadInput: for a folder that holds another dataset, or this one without ``resume``, or that another
+            run is writing; for a face model that cannot be read, or a full disk.
+        WorkFailed: if a worker dies.
     """
     if count < 1 or seed < 0 or workers < 1:
         raise BadInput(
             f"synth: count {count}, seed {seed}, workers {workers} found; at least 1, 0 and 1 are needed"
         )
-    if spec.shape != "anny":
-        raise BadInput(f"{spec.name}: shape {spec.shape!r} found, a dataset of faces needs 'anny'")
-    folder = output_dir(out)
-    manifest = Manifest(folder, fingerprint(spec))
-    if manifest.entries and not resume:
+    if spec.shape not in FACE_SHAPES:
         raise BadInput(
-            f"{folder}: already holds {len(manifest.entries)} bundles; add --resume or choose another folder"
+            f"{spec.name}: shape {spec.shape!r} found, a dataset needs one of {', '.join(FACE_SHAPES)}"
         )
-    done = manifest.finished_seeds()
-    todo = [k for k in range(seed, seed + count) if k not in done]
-    versions = provenance.versions()
-    with _mapper(workers) as run:
-        for face_seed, path in run(partial(render_face, spec, folder), todo):
-            digest = provenance.sha256(path)
-            manifest.append(Entry(path.name, face_seed, spec.shape, fingerprint(spec), digest, versions))
-            if on_face is not None:
-                on_face(face_seed)
+    crew, dataset = choose(workers, count, ray), identity(spec)
+    folder, made = Path(out), not Path(out).exists()
+    output_dir(folder)
+    try:
+        with _only_writer(folder), _full_disk_explained(folder):
+            manifest = Manifest(folder, fingerprint(dataset))
+            _check_folder(manifest, range(seed, seed + count), resume)
+            finished = manifest.finished_seeds()
+            todo = [k for k in range(seed, seed + count) if k not in finished]
+            scratch = folder if ray is None else None  # processes of Ray may run on another machine
+            _list_in_order(
+                manifest, dataset, todo, crew.run(partial(render_file, spec, scratch), todo), on_face
+            )
+    finally:
+        if made and not any(folder.iterdir()):
+            folder.rmdir()
     return manifest
 
 
-def render_face(spec: SceneSpec, folder: Path, seed: int) -> tuple[int, Path]:
-    """Render and write one bundle; returns its seed and file."""
-    path = folder / f"face-{seed:06d}.exr"
-    write_bundle(path, render_bundle(spec, seed))
-    return seed, path
+def identity(spec: SceneSpec) -> SceneSpec:
+    """The spec that a dataset is known by: a hash of the face model in place of the path to it.
+
+    Raises:
+        BadInput: for a face model that cannot be read.
+    """
+    if spec.model_path is None and spec.shape == "anny":
+        return spec
+    from sfsnet_dr.scene.face_model import load_model
+
+    return replace(spec, model_path=load_model(spec).digest)
+
+
+def face_file(seed: int) -> str:
+    """Name of a seed's bundle."""
+    return f"face-{seed:06d}.exr"
+
+
+def render_file(spec: SceneSpec, scratch: Path | None, seed: int) -> bytes:
+    """The bytes of one bundle's file.
+
+    Args:
+        spec: what to render.
+        scratch: folder for a temporary copy; None takes the system's.
+        seed: of the face.
+    """
+    bundle = render_bundle(spec, seed)
+    with tempfile.TemporaryDirectory(prefix=_PARTIAL, dir=scratch) as folder:
+        path = Path(folder) / face_file(seed)
+        try:
+            write_bundle(path, bundle)
+            check_end(path)
+        except WorkFailed as error:
+            raise BadInput(
+                f"{scratch or path.parent}: a bundle cannot be written, is the disk full? Free some space "
+                f"and go on with --resume ({error})"
+            ) from error
+        return path.read_bytes()
 
 
 def render_bundle(spec: SceneSpec, seed: int) -> Bundle:
@@ -98,17 +145,19 @@ def render_bundle(spec: SceneSpec, seed: int) -> Bundle:
     from sfsnet_dr.scene.face import sample_face
     from sfsnet_dr.scene.mitsuba_scene import ENVIRONMENT_SIZE
 
-    face = sample_face(seed, spec)
+    dataset, face = identity(spec), sample_face(seed, spec)
     scene = _place_in_scene(spec, face.mesh)
     light = sample_lights(np.random.default_rng((seed, _LIGHT_STREAM)), 1)[0]
     scene.set_environment(light.equirect(*ENVIRONMENT_SIZE))
     maps = capture(scene, spec.sampling.transport, seed)
     reference = path_trace(scene, spec.sampling.reference, seed, spec.sampling.depth)
-    extra = {
-        "spec": as_dict(spec),
+    extra: dict[str, Any] = {
+        "spec": as_dict(dataset),
         "pose": as_dict(face.pose),
         "landmarks": {name: point.tolist() for name, point in face.landmarks.items()},
     }
+    if face.appearance is not None:
+        extra["ita"] = round(float(face.appearance.ita), 3)
     return Bundle(
         normal=maps.normal,
         albedo=maps.albedo,
@@ -117,7 +166,7 @@ def render_bundle(spec: SceneSpec, seed: int) -> Bundle:
         reference=reference.mean.astype(np.float32),
         variance=reference.variance.astype(np.float32),
         transport=maps.transport,
-        meta=BundleMeta(seed, spec.shape, fingerprint(spec), light.coefficients(LIGHT_ORDER), extra),
+        meta=BundleMeta(seed, spec.shape, fingerprint(dataset), light.coefficients(LIGHT_ORDER), extra),
     )
 
 
@@ -132,16 +181,94 @@ def _place_in_scene(spec: SceneSpec, mesh: Mesh) -> SurfaceScene:
     return _scene
 
 
-_Runner = Callable[[Callable[[int], tuple[int, Path]], Iterable[int]], Iterator[tuple[int, Path]]]
+def _list_in_order(
+    manifest: Manifest,
+    dataset: SceneSpec,
+    todo: Sequence[int],
+    rendered: Iterator[tuple[int, bytes]],
+    on_face: Callable[[int], None] | None,
+) -> None:
+    """Put bundles in place as they come, and list them in the order of ``todo``."""
+    listed = {entry.file: entry.sha256 for entry in manifest.entries}
+    versions = provenance.versions()
+    ready: dict[int, Entry] = {}
+    order = deque(todo)
+    for seed, data in rendered:
+        digest, name = provenance.sha256(data), face_file(seed)
+        if listed.get(name, digest) != digest:
+            raise WorkFailed(
+                f"{manifest.folder / name}: rendered again, but its bytes are not those that {NAME} lists; "
+                "the software has changed since: choose another folder"
+            )
+        _store(manifest.folder / name, data)
+        ready[seed] = Entry(name, seed, dataset.shape, fingerprint(dataset), digest, versions)
+        while order and order[0] in ready:
+            entry = ready.pop(order.popleft())
+            if entry.file not in listed:
+                manifest.append(entry)
+        if on_face is not None:
+            on_face(seed)
+
+
+def _store(path: Path, data: bytes) -> None:
+    """Write a file that is whole, and on the disk, before it is listed."""
+    with atomic_path(path) as partial_path, partial_path.open("wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _check_folder(manifest: Manifest, seeds: range, resume: bool) -> None:
+    """Refuse what must not be overwritten, and sweep up after a run that was killed."""
+    folder = manifest.folder
+    if manifest.entries and not resume:
+        raise BadInput(
+            f"{folder}: already holds {len(manifest.entries)} bundles; add --resume or choose another folder"
+        )
+    listed = {entry.file for entry in manifest.entries}
+    for name in map(face_file, seeds):
+        if name not in listed and (folder / name).exists():
+            _check_unlisted(folder / name, manifest.spec_hash, resume)
+    if resume:
+        for leftover in folder.glob(f"{_PARTIAL}*"):
+            shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink()
+
+
+def _check_unlisted(path: Path, spec_hash: str | None, resume: bool) -> None:
+    if not resume:
+        raise BadInput(f"{path}: is there, but not listed in {NAME}; add --resume or choose another folder")
+    try:
+        found = read_bundle(path).meta.spec_hash
+    except BadInput:
+        return  # no bundle that could be lost
+    if found != spec_hash:
+        raise BadInput(
+            f"{path}: bundle of specification {found} found, {spec_hash} expected; choose another folder"
+        )
 
 
 @contextmanager
-def _mapper(workers: int) -> Iterator[_Runner]:
-    """An ordered map over seeds, in this process or in a pool of fresh ones."""
-    if workers == 1:
-        yield map
-        return
-    context = multiprocessing.get_context("spawn")
-    threads = max(1, (multiprocessing.cpu_count() or 1) // workers)
-    with context.Pool(workers, runtime.set_threads, (threads,), maxtasksperchild=FACES_PER_WORKER) as pool:
-        yield pool.imap
+def _only_writer(folder: Path) -> Iterator[None]:
+    """Hold the folder's lock, which ends with this process, whatever ends it."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    except BlockingIOError as error:
+        raise BadInput(
+            f"{folder}: another run is writing here; wait for it or choose another folder"
+        ) from error
+    finally:
+        os.close(handle)
+
+
+@contextmanager
+def _full_disk_explained(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+            raise
+        raise BadInput(
+            f"{folder}: cannot be written to ({error.strerror}); free some space and go on with --resume"
+        ) from error

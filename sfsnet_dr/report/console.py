@@ -5,6 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TextColumn,
+    TimeRemainingColumn,
+)
+from rich.text import Text
+
 from sfsnet_dr.report.record import Record
 
 
@@ -16,12 +28,11 @@ def lines(records: Sequence[Record]) -> list[str]:
 
 @contextmanager
 def bar(what: str, total: int, done: int = 0) -> Iterator[Callable[[], None]]:
-    """A progress bar on standard error with the time left; call what it gives once for each step."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True)) as progress:
+    """A progress bar on standard error with rate and time left; call what it gives once for each step."""
+    what_column, rest = TextColumn("{task.description}"), (_Rate(), TimeRemainingColumn())
+    with Progress(
+        what_column, BarColumn(), MofNCompleteColumn(), *rest, console=Console(stderr=True)
+    ) as progress:
         task = progress.add_task(what, total=total, completed=done)
         try:
             yield lambda: progress.advance(task)
@@ -29,6 +40,16 @@ def bar(what: str, total: int, done: int = 0) -> Iterator[Callable[[], None]]:
             progress.live.transient = True  # the line that tells the failure stands alone, also in a log
             progress.console.quiet = not progress.console.is_interactive
             raise
+
+
+class _Rate(ProgressColumn):
+    """Steps a second, or seconds a step where that is the larger number; nothing before it is known."""
+
+    def render(self, task: Task) -> Text:
+        speed = task.finished_speed or task.speed
+        if not speed:
+            return Text("")
+        return Text(f"{speed:.1f}/s" if speed >= 1 else f"{1 / speed:.1f} s each")
 
 
 def _line(record: Record, width: int) -> str:

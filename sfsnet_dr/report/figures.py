@@ -110,6 +110,25 @@ def error_vs_time(points: Sequence[TimedError], *, error_label: str = "relative 
         return _png(figure)
 
 
+def histogram(values: Sequence[float], *, label: str, bins: Sequence[float], counted: str) -> bytes:
+    """Bars of how many values fall between neighbouring bins.
+
+    Args:
+        values: the numbers; those outside all bins are counted in the first or the last.
+        label: what they are, with the unit.
+        bins: edges, increasing.
+        counted: what has the values, in the plural.
+    """
+    with matplotlib.rc_context(_STYLE):
+        figure, axes = _axes(6.8, 3.2)
+        axes.hist(np.clip(values, bins[0], bins[-1]), bins=list(bins), color=PALETTE[0], rwidth=0.92)
+        axes.grid(visible=False, axis="x")
+        axes.yaxis.get_major_locator().set_params(integer=True)
+        axes.set_xlabel(label)
+        axes.set_ylabel(counted)
+        return _png(figure)
+
+
 def error_map(values: NDArray[np.floating], *, label: str, limit: float, signed: bool = False) -> bytes:
     """A map (H, W) in colours with its scale; NaN pixels stay white.
 

