@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from surfaces import plane_with_shade
 
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.render.capture import Capture, capture
@@ -17,7 +18,6 @@ from sfsnet_dr.sh.basis import sh_basis
 from sfsnet_dr.sh.coefficients import Radiance
 from sfsnet_dr.sh.kernel import band_of, clamped_cosine
 from sfsnet_dr.sh.projection import equirect_directions, project_equirect
-from tests.surfaces import plane_with_shade
 
 SMALL = CameraSpec(size=32)
 
