@@ -103,7 +103,8 @@ def test_positions_agree_with_the_anny_package(head: HeadModel) -> None:
     row = {vertex: k for k, vertex in enumerate(in_anny)}
     rows = [row[vertex] for vertex in keep[shared]]
     rng = np.random.default_rng(3)
-    who = Phenotype(*rng.uniform(0.05, 0.95, 6), ancestry=(0.2, 0.3, 0.5))
+    gender, age, muscle, weight, height, proportions = rng.uniform(0.05, 0.95, 6)
+    who = Phenotype(gender, age, muscle, weight, height, proportions, (0.2, 0.3, 0.5))
     local = rng.uniform(-0.5, 0.5, len(head.local_names))
     actions = rng.uniform(0, 0.5, len(head.action_names))
     phenotype = {

@@ -133,7 +133,7 @@ def test_relit_transport_is_mitsubas_direct_render_of_a_head() -> None:
 
 
 def relit(maps: Capture, light: Radiance) -> np.ndarray:
-    return np.einsum("khwc,kc->hwc", maps.transport.astype(np.float64), light.values)
+    return np.asarray(np.einsum("khwc,kc->hwc", maps.transport.astype(np.float64), light.values))
 
 
 def mitsuba_direct(scene: SurfaceScene, samples: int, runs: int) -> tuple[np.ndarray, np.ndarray]:
