@@ -154,6 +154,7 @@ def test_a_nan_is_refused(tmp_path: Path) -> None:
     picture[3, 4] = np.nan
     path = tmp_path / "nan.exr"
     output = oiio.ImageOutput.create(str(path))
+    assert output is not None
     output.open(str(path), oiio.ImageSpec(128, 64, 3, oiio.FLOAT))
     output.write_image(picture)
     output.close()

@@ -19,7 +19,8 @@ Picture = NDArray[np.uint8]
 
 def portrait() -> Picture:
     """130 x 151 pixels: no multiple of the blocks' size."""
-    return np.asarray(data.astronaut()[:130, 150:301])
+    whole: Picture = data.astronaut()  # type: ignore[no-untyped-call]
+    return whole[:130, 150:301]
 
 
 def by_file(picture: Picture, quality: int) -> NDArray[np.float64]:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,7 +33,8 @@ def maps(tmp_path_factory: pytest.TempPathFactory) -> LightSpec:
 
 
 def only(kind: LightKind, spec: LightSpec) -> LightSpec:
-    return replace(NONE, environments=spec.environments, **{kind: 1.0})
+    weight: dict[str, Any] = {kind: 1.0}
+    return replace(NONE, environments=spec.environments, **weight)
 
 
 def fan() -> np.ndarray:

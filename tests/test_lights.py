@@ -23,7 +23,7 @@ def composed() -> SceneLight:
 
 def normals(count: int = 200) -> np.ndarray:
     random = np.random.default_rng(3).normal(size=(count, 3))
-    return random / np.linalg.norm(random, axis=1, keepdims=True)
+    return np.asarray(random / np.linalg.norm(random, axis=1, keepdims=True))
 
 
 def test_a_white_dome_shades_everything_white() -> None:
@@ -138,6 +138,7 @@ def test_the_path_tracer_sees_the_same_light() -> None:
     light, radius = composed(), 0.9
     camera = CameraSpec(distance=1000.0, size=32)
     scene = SurfaceScene(sphere(radius), camera, light.directional, environment=True)
+    assert light.environment is not None
     scene.set_environment(light.environment)
     images = [path_trace(scene, 1024, seed, depth=2).mean for seed in (0, 1)]
 

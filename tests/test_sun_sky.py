@@ -32,7 +32,7 @@ def sampled_irradiance(sun: np.ndarray, turbidity: float, normal: np.ndarray, co
     sampler.seed(0, count)
     sample, weight = emitter.sample_direction(dr.zeros(mi.Interaction3f, count), sampler.next_2d())
     cosine = dr.maximum(dr.dot(sample.d, mi.Vector3f([float(x) for x in normal])), 0.0)
-    return np.asarray(weight * cosine, dtype=np.float64).mean(axis=1)
+    return np.asarray(np.asarray(weight * cosine, dtype=np.float64).mean(axis=1))
 
 
 @pytest.mark.parametrize(("elevation", "turbidity"), [(12.0, 2.0), (35.0, 3.5), (70.0, 8.0)])
@@ -43,6 +43,7 @@ def test_irradiance_is_that_of_mitsubas_sampler(elevation: float, turbidity: flo
     # The ground, which the plugin lacks, is left out.
     above = equirect_directions(*MAP_SIZE)
     cosine = equirect_solid_angles(*MAP_SIZE) * np.maximum(above @ normal, 0) * (above[..., 1] > 0)
+    assert light.environment is not None
     baked = np.einsum("hw,hwc->c", cosine, light.environment)
     baked += (sun @ normal) * light.directional[0][1]
     # Texels of 2.8 degrees at the bright horizon, and the noise of 2^20 samples: .16 % seen, times 3.

@@ -32,7 +32,9 @@ depth = 2
 @pytest.fixture(scope="module")
 def ladder() -> Ladder:
     sampling = SamplingSpec(transport=128, reference=64, depth=2)
-    return climb(SceneSpec("ball", "sphere", (0.5, 0.5, 0.5), CameraSpec(size=32), sampling=sampling))
+    return climb(
+        SceneSpec("ball", "sphere", albedo=(0.5, 0.5, 0.5), camera=CameraSpec(size=32), sampling=sampling)
+    )
 
 
 def expected_error(order: int) -> float:

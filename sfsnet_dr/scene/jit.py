@@ -34,7 +34,7 @@ def upload(kind: Any, array: npt.ArrayLike) -> Any:
         kind: a type of one dimension.
         array: of any shape; read in C order.
     """
-    values = np.ravel(np.asarray(array, dtype=_NUMPY[kind]))
+    values: npt.NDArray[Any] = np.ravel(np.asarray(array, dtype=_NUMPY[kind]))
     memory = np.empty(values.nbytes + _ALIGNMENT, dtype=np.uint8)
     first = -memory.ctypes.data % _ALIGNMENT
     aligned = memory[first : first + values.nbytes].view(values.dtype)

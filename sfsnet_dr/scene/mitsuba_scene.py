@@ -225,7 +225,7 @@ def lobe(alpha: float, albedo: dict[str, Any]) -> dict[str, Any]:
 
 def _mesh_values(mesh: Mesh) -> dict[str, mi.Float | mi.UInt32]:
     mix = np.zeros(len(mesh.vertices)) if mesh.roughness_mix is None else mesh.roughness_mix
-    floats = {
+    floats: dict[str, npt.NDArray[Any]] = {
         "vertex_positions": mesh.vertices,
         "vertex_normals": mesh.normals,
         _ALBEDO: mesh.albedo,
