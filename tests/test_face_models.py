@@ -1,4 +1,4 @@
-"""Face models behind one interface: Anny sane for a hundred seeds, in place in the image, bad models named."""
+"""Face models behind one interface: Anny sane for a hundred seeds, in place in the image."""
 
 from __future__ import annotations
 
