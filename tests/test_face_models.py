@@ -1,4 +1,4 @@
-"""Seeded faces of the Anny head: sane for a hundred seeds, in place in the image, the same every time."""
+"""Face models behind one interface: Anny sane for a hundred seeds, in place in the image."""
 
 from __future__ import annotations
 
