@@ -113,12 +113,12 @@ def test_positions_agree_with_the_anny_package(head: HeadModel) -> None:
         "african": 0.2, "asian": 0.3, "caucasian": 0.5,
     }  # fmt: skip
     with torch.no_grad():
-        coefficients = model.get_phenotype_blendshape_coefficients(
-            phenotype_kwargs={key: torch.tensor([value]) for key, value in phenotype.items()},
-            local_changes_kwargs={k: torch.tensor([v]) for k, v in zip(head.local_names, local, strict=True)},
-            facial_actions={k: torch.tensor([v]) for k, v in zip(head.action_names, actions, strict=True)},
+        output = model(
+            phenotype_kwargs=phenotype,
+            local_changes_kwargs=dict(zip(head.local_names, local, strict=True)),
+            facial_actions=dict(zip(head.action_names, actions, strict=True)),
         )
-        found = model.get_rest_vertices(coefficients)[0].double().numpy()[rows]
+    found = output["rest_vertices"][0].double().numpy()[rows]
     ours = head.shape(macro_weights(head.macro_names, who), local, actions)[:-2][shared]
     metres = np.stack([ours[:, 0], -ours[:, 2], ours[:, 1]], axis=1) / 10
     offset = (found - metres).mean(axis=0)  # the packages place the floor differently

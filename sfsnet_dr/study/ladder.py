@@ -20,7 +20,7 @@ from sfsnet_dr.render.reference import Reference, path_trace
 from sfsnet_dr.scene import mesh as meshes
 from sfsnet_dr.scene.face import sample_face
 from sfsnet_dr.scene.mitsuba_scene import ENVIRONMENT_SIZE, SurfaceScene
-from sfsnet_dr.scene.spec import SceneSpec
+from sfsnet_dr.scene.spec import FACE_SHAPES, SceneSpec
 from sfsnet_dr.sh.coefficients import Radiance
 from sfsnet_dr.sh.priors import LobeLight, sample_lights
 from sfsnet_dr.sh.projection import project_directional
@@ -126,7 +126,7 @@ def climb(spec: SceneSpec, seed: int = 0, on_light: Callable[[str], None] = lamb
     soft, hard = SurfaceScene(surface, spec.camera), SurfaceScene(surface, spec.camera, (HARD_LIGHT,))
     capture(soft, 1, seed)  # compiles
     maps, capture_seconds = _timed(lambda: capture(soft, spec.sampling.transport, seed), repeats=1)
-    mask = (maps.mask if spec.shape == "anny" else maps.coverage >= 1.0).astype(np.float64)
+    mask = (maps.mask if spec.shape in FACE_SHAPES else maps.coverage >= 1.0).astype(np.float64)
     results = []
     for light in study_lights():
         scene = hard if light.environment is None else soft
