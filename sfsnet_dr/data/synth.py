@@ -26,7 +26,7 @@ from sfsnet_dr.base.imageio import check_end
 from sfsnet_dr.data.bundle import Bundle, BundleMeta, read_bundle, write_bundle
 from sfsnet_dr.data.manifest import NAME, Entry, Manifest
 from sfsnet_dr.data.workers import choose
-from sfsnet_dr.scene.spec import FACE_SHAPES, SceneSpec
+from sfsnet_dr.scene.spec import FACE_SHAPES, CameraSpec, SceneSpec
 from sfsnet_dr.sh.priors import sample_lights
 
 if TYPE_CHECKING:
@@ -146,7 +146,7 @@ def render_bundle(spec: SceneSpec, seed: int) -> Bundle:
     from sfsnet_dr.scene.mitsuba_scene import ENVIRONMENT_SIZE
 
     dataset, face = identity(spec), sample_face(seed, spec)
-    scene = _place_in_scene(spec, face.mesh)
+    scene = _place_in_scene(face.mesh, face.pose.camera(spec.camera))
     light = sample_lights(np.random.default_rng((seed, _LIGHT_STREAM)), 1)[0]
     scene.set_environment(light.equirect(*ENVIRONMENT_SIZE))
     maps = capture(scene, spec.sampling.transport, seed)
@@ -170,12 +170,12 @@ def render_bundle(spec: SceneSpec, seed: int) -> Bundle:
     )
 
 
-def _place_in_scene(spec: SceneSpec, mesh: Mesh) -> SurfaceScene:
+def _place_in_scene(mesh: Mesh, camera: CameraSpec) -> SurfaceScene:
     from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
 
     global _scene
-    if _scene is None or not _scene.fits(mesh, spec.camera):
-        _scene = SurfaceScene(mesh, spec.camera)
+    if _scene is None or not _scene.fits(mesh, camera):
+        _scene = SurfaceScene(mesh, camera)
     else:
         _scene.set_mesh(mesh)
     return _scene

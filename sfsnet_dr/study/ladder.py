@@ -20,7 +20,7 @@ from sfsnet_dr.render.reference import Reference, path_trace
 from sfsnet_dr.scene import mesh as meshes
 from sfsnet_dr.scene.face import sample_face
 from sfsnet_dr.scene.mitsuba_scene import ENVIRONMENT_SIZE, SurfaceScene
-from sfsnet_dr.scene.spec import FACE_SHAPES, SceneSpec
+from sfsnet_dr.scene.spec import FACE_SHAPES, CameraSpec, SceneSpec
 from sfsnet_dr.sh.coefficients import Radiance
 from sfsnet_dr.sh.priors import LobeLight, sample_lights
 from sfsnet_dr.sh.projection import project_directional
@@ -122,8 +122,8 @@ def climb(spec: SceneSpec, seed: int = 0, on_light: Callable[[str], None] = lamb
         seed: of the head and of the references' noise.
         on_light: called with a light's name when it is done.
     """
-    surface = _surface(spec, seed)
-    soft, hard = SurfaceScene(surface, spec.camera), SurfaceScene(surface, spec.camera, (HARD_LIGHT,))
+    surface, camera = _surface(spec, seed)
+    soft, hard = SurfaceScene(surface, camera), SurfaceScene(surface, camera, (HARD_LIGHT,))
     capture(soft, 1, seed)  # compiles
     maps, capture_seconds = _timed(lambda: capture(soft, spec.sampling.transport, seed), repeats=1)
     mask = (maps.mask if spec.shape in FACE_SHAPES else maps.coverage >= 1.0).astype(np.float64)
@@ -143,13 +143,14 @@ def study_lights() -> list[Light]:
     return [Light(f"natural{k}", light) for k, light in enumerate(natural)] + [Light("directional45", None)]
 
 
-def _surface(spec: SceneSpec, seed: int) -> meshes.Mesh:
+def _surface(spec: SceneSpec, seed: int) -> tuple[meshes.Mesh, CameraSpec]:
     albedo = spec.albedo or (0.5, 0.5, 0.5)
     if spec.shape == "sphere":
-        return meshes.sphere(albedo=albedo)
+        return meshes.sphere(albedo=albedo), spec.camera
     if spec.shape == "plane":
-        return meshes.plane(albedo=albedo)
-    return sample_face(seed, spec).mesh
+        return meshes.plane(albedo=albedo), spec.camera
+    face = sample_face(seed, spec)
+    return face.mesh, face.pose.camera(spec.camera)
 
 
 def _measure(
