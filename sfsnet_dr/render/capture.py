@@ -1,34 +1,52 @@
-"""Ground-truth maps and light transport of a surface, in one pass over the pixels.
+"""Ground-truth maps and light transport of a surface.
 
-For every pixel: the mean unit normal, albedo, coverage and face mask under a box filter, and the linear
-response to each SH basis light with visibility (Sloan, Kautz and Snyder 2002):
-
-    T_k = mean over the pixel of  albedo / pi * integral of Y_k(w) V(x, w) max(n . w, 0) dw
-
-so that under an environment with radiance coefficients l the image is sum_k T_k l_k, one bounce of light.
+For every pixel: the mean unit normal, albedo, coverage, region and face mask under a box filter, and its
+answer to any light, as ``render.transport`` defines it.
 """
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import binary_dilation
 
-from sfsnet_dr.base.checks import BadInput
-from sfsnet_dr.scene.jit import dr, mi
-from sfsnet_dr.scene.mitsuba_scene import SurfaceScene, albedo_at, camera_rays, face_at
-from sfsnet_dr.sh.polynomials import sh_polynomials
+from sfsnet_dr.base.checks import BadInput, check_shape
+from sfsnet_dr.render import transport
+from sfsnet_dr.render.points import Points, Sampler, check_samples
+from sfsnet_dr.scene.jit import dr, mi, upload
+from sfsnet_dr.scene.mesh import FACE_REGIONS, NO_REGION
+from sfsnet_dr.scene.mitsuba_scene import SurfaceScene, camera_rays
 
 Image = npt.NDArray[np.float32]
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.uint32]
 
-#: Additive recurrence of Roberts (2018) in four dimensions: powers of 1 / phi_4 with phi^5 = phi + 1.
-_PHI = 1.1673039782614187
-_STEPS = tuple(_PHI ** -(k + 1) for k in range(4))
+#: Multiples of a number modulo a prime, to mix tiles by; up to 2^31 - 1 of them are distinct.
+_MIXER, _PRIME = 1_327_217_885, (1 << 31) - 1
+
+_TILE = 4  # neighbours in 4 x 4 pixels share a vector of rays, which then meet the same triangles
 
 
-#: Normal, albedo, hits, face hits and transport, each summed over samples.
-Sums = tuple[mi.Normal3f, mi.Color3f, mi.Float, mi.Float, mi.ArrayXf]
+@dataclass(frozen=True)
+class CaptureOptions:
+    """What is traced from each pixel.
+
+    Attributes:
+        order: of the transport.
+        bounces: greatest number of surface points after the first one; 0 is light seen directly.
+        paths: paths that leave by diffuse scattering where a camera ray hits, and as many by glossy
+            reflection if the surface has gloss.
+        sampler: see ``render.points``.
+    """
+
+    order: int = 2
+    bounces: int = 0
+    paths: int = 1
+    sampler: Sampler = "sobol"
 
 
 @dataclass(frozen=True)
@@ -40,110 +58,150 @@ class Capture:
         albedo: (H, W, 3) linear, mean over the covered part of the pixel, else 0.
         coverage: (H, W) share of the pixel that the surface covers.
         mask: (H, W) 1 where the whole pixel is face skin, else 0.
-        transport: (K, H, W, 3) response to the radiance basis lights; K = 9.
+        regions: (H, W) label of ``scene.mesh.Region`` that most of the pixel's samples hit, or ``NO_REGION``.
+        transport: (K, H, W, 3) response to the radiance basis lights, without gloss seen directly.
+        gloss: (9, H, W) their mirror images in the glossy lobes; (0, H, W) for a surface without.
+        lamps: (D, H, W, 3) response to a light of irradiance 1 in each direction.
+        rays: number of rays that were traced.
     """
 
     normal: Image
     albedo: Image
     coverage: Image
     mask: Image
+    regions: npt.NDArray[np.uint8]
     transport: Image
+    gloss: Image
+    lamps: Image
+    rays: int
 
 
-def capture(scene: SurfaceScene, samples: int, seed: int) -> Capture:
-    """Render maps and transport of order 2.
+def capture(
+    scene: SurfaceScene,
+    samples: int,
+    seed: int,
+    options: CaptureOptions = CaptureOptions(),
+    directions: Array | None = None,
+) -> Capture:
+    """Render maps and transport.
 
-    Each sample is one point of the pixel and one cosine-distributed direction from the surface there. The
-    points follow a low-discrepancy sequence, shifted at random for each pixel, so that the estimate is
-    unbiased and the result depends on ``seed`` alone.
+    Pixels more than one pixel away from all that a coarse look finds of the surface are taken as empty.
 
     Args:
         scene: the surface and camera.
-        samples: per pixel, at least 1.
-        seed: any non-negative integer below 2^32.
+        samples: camera rays of each pixel.
+        seed: any non-negative integer.
+        options: what else is traced.
+        directions: (D, 3) unit vectors toward directional lights; None for none.
+
+    Raises:
+        BadInput: for sample counts that the sampler cannot place, or directions that are no unit vectors.
     """
-    if samples < 1:
-        raise BadInput(f"samples: {samples} found, at least 1 is needed")
-    size = scene.camera.size
-    pixel = dr.arange(mi.UInt32, size * size)
-    sums = _accumulate(scene, pixel, dr.opaque(mi.UInt32, samples), dr.opaque(mi.UInt32, seed & 0xFFFFFFFF))
-    dr.eval(sums)
-    normal, albedo, hits, face, transport = (_image(value, size) for value in sums)
-    weight = np.maximum(hits, 1.0)
-    length = np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
+    toward = _checked(samples, options, directions)
+    pixels = _covered(scene)
+    stage = _stage(scene, pixels, samples, seed, options, toward)
+    sizes = stage.sizes()
+    traced = _read(transport.trace(stage)) if len(pixels) else np.zeros((sum(sizes.values()), 0))
+    values = _to_image(traced, pixels, scene.camera.size)
+    parts = dict(zip(sizes, np.split(values, np.cumsum([*sizes.values()])[:-1], axis=-1), strict=True))
     return Capture(
-        normal=np.where(hits > 0, normal / length, 0.0).astype(np.float32),
-        albedo=(albedo / weight).astype(np.float32),
-        coverage=(hits[..., 0] / samples).astype(np.float32),
-        mask=(face[..., 0] == samples).astype(np.float32),
-        transport=np.moveaxis(transport.reshape(size, size, 9, 3) / samples, 2, 0).astype(np.float32),
+        **_maps(parts["maps"] / samples),
+        transport=_by_colour(parts["transport"]),
+        gloss=np.moveaxis(parts["gloss"], -1, 0).astype(np.float32),
+        lamps=_by_colour(parts["lamps"]),
+        rays=int(parts["rays"].sum()),
     )
 
 
-@dr.syntax
-def _accumulate(scene: SurfaceScene, pixel: mi.UInt32, samples: mi.UInt32, seed: mi.UInt32) -> Sums:
-    """Sums over the samples of each pixel: normal, albedo, hits, face hits, and the 27 transport values."""
-    shift = _shifts(pixel, seed)
-    sums = _zeros(dr.width(pixel))
-    step = mi.UInt32(0)
-    while step < samples:
-        sums = _add(sums, _sample(scene, pixel, _points(shift, step)))
-        step += 1
-    return sums
-
-
-def _sample(scene: SurfaceScene, pixel: mi.UInt32, point: list[mi.Float]) -> Sums:
-    """One camera ray and one shadow ray for each pixel."""
-    ray = camera_rays(scene.camera, pixel, mi.Point2f(point[0], point[1]))
-    hit = scene.mi_scene.ray_intersect(ray, mi.RayFlags.All, coherent=True)
-    found = hit.is_valid()
-    front = found & (mi.Frame3f.cos_theta(hit.wi) > 0.0)  # as Mitsuba's one-sided diffuse surface
-    toward = hit.to_world(mi.warp.square_to_cosine_hemisphere(mi.Point2f(point[2], point[3])))
-    lit = front & ~scene.mi_scene.ray_test(hit.spawn_ray(toward), front)
-    albedo = dr.select(found, albedo_at(hit, found), 0.0)
-    reflected = dr.select(lit, albedo, 0.0)
-    basis = sh_polynomials(toward.x, toward.y, toward.z, 2)
-    response = [value * reflected[channel] for value in basis for channel in range(3)]
-    return (
-        dr.select(found, hit.sh_frame.n, 0.0),
-        albedo,
-        dr.select(found, mi.Float(1.0), 0.0),
-        dr.select(found & face_at(hit, found), mi.Float(1.0), 0.0),
-        mi.ArrayXf(response),
+def _stage(
+    scene: SurfaceScene, pixels: Indices, samples: int, seed: int, options: CaptureOptions, toward: Array
+) -> transport.Stage:
+    pixel = upload(mi.UInt32, pixels)
+    state = int(np.random.SeedSequence(seed).generate_state(1)[0])
+    return transport.Stage(
+        scene,
+        pixel,
+        Points(options.sampler, pixel, dr.opaque(mi.UInt32, state)),
+        samples=samples,
+        paths=options.paths,
+        lamps=toward,
+        order=options.order,
+        bounces=options.bounces,
     )
 
 
-def _zeros(width: int) -> Sums:
-    return (
-        dr.zeros(mi.Normal3f, width),
-        dr.zeros(mi.Color3f, width),
-        dr.zeros(mi.Float, width),
-        dr.zeros(mi.Float, width),
-        dr.zeros(mi.ArrayXf, (27, width)),
-    )
+def _read(values: mi.ArrayXf) -> Array:
+    """Evaluated (values, lanes). One by one: to read all at once is a kernel for each number of lanes."""
+    dr.eval(values)
+    return np.stack([np.asarray(value, dtype=np.float64) for value in values])
 
 
-def _add(left: Sums, right: Sums) -> Sums:
-    a, b, c, d, e = (x + y for x, y in zip(left, right, strict=True))
-    return a, b, c, d, e
+def _to_image(values: Array, pixels: Indices, size: int) -> Array:
+    """(values, pixels) to (H, W, values), 0 elsewhere."""
+    image = np.zeros((size * size, len(values)))
+    image[pixels] = values.T
+    return image.reshape(size, size, len(values))
 
 
-def _points(shift: list[mi.Float64], step: mi.UInt32) -> list[mi.Float]:
-    return [_fraction(offset + mi.Float64(step) * rate) for offset, rate in zip(shift, _STEPS, strict=True)]
+def _covered(scene: SurfaceScene) -> Indices:
+    """Numbers of the pixels in which, or next to which, one of 4 x 4 rays hits; neighbours together."""
+    size = scene.camera.size
+    shifts = (np.arange(4) + 0.5) / 4
+    pixel = upload(mi.UInt32, _by_tiles(size))
+    hits = mi.Bool(False)
+    for x, y in itertools.product(shifts, shifts):
+        ray = camera_rays(scene.camera, pixel, mi.Point2f(float(x), float(y)))
+        hits |= scene.mi_scene.ray_test(ray, True, True)
+    order = np.asarray(pixel)
+    found = np.zeros(size * size, dtype=bool)
+    found[order] = np.asarray(hits)
+    near = binary_dilation(found.reshape(size, size), np.ones((3, 3), dtype=bool)).ravel()
+    return np.asarray(order[near[order]])
 
 
-def _shifts(pixel: mi.UInt32, seed: mi.UInt32) -> list[mi.Float64]:
-    """Four uniform numbers for each pixel."""
-    first, second = mi.sample_tea_32(pixel, seed, 6)
-    third, fourth = mi.sample_tea_32(second, first, 6)
-    return [mi.Float64(value) * 2.0**-32 for value in (first, second, third, fourth)]
+def _maps(values: Array) -> dict[str, Any]:
+    """Normal, albedo, coverage, mask and regions from their means over samples, (H, W, 6 + regions)."""
+    normal, albedo, share = values[..., :3], values[..., 3:6], values[..., 6:]
+    coverage = share.sum(axis=-1)
+    length = np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
+    on_face = share[..., list(FACE_REGIONS)].sum(axis=-1)
+    return {
+        "normal": (normal / length).astype(np.float32),
+        "albedo": (albedo / np.maximum(coverage, 1e-12)[..., None]).astype(np.float32),
+        "coverage": coverage.astype(np.float32),
+        "mask": (on_face > 1.0 - 1e-6).astype(np.float32),
+        "regions": np.where(coverage > 0, share.argmax(axis=-1), NO_REGION).astype(np.uint8),
+    }
 
 
-def _fraction(value: mi.Float64) -> mi.Float:
-    return dr.minimum(mi.Float(value - dr.floor(value)), 1.0 - 2.0**-24)
+def _by_colour(values: Array) -> Image:
+    """(H, W, 3 K) to (K, H, W, 3)."""
+    height, width, count = values.shape
+    return np.moveaxis(values.reshape(height, width, count // 3, 3), 2, 0).astype(np.float32)
 
 
-def _image(value: mi.ArrayXf, size: int) -> npt.NDArray[np.float64]:
-    """(channels, pixels) to (H, W, channels)."""
-    array = np.asarray(value, dtype=np.float64).reshape(-1, size * size)
-    return np.moveaxis(array.reshape(-1, size, size), 0, -1)
+def _by_tiles(size: int) -> Indices:
+    """Numbers of all pixels, those of a tile together, and tiles in an order that mixes the image.
+
+    Dr.Jit gives each thread one stretch of the pixels: mixed ones take equally long.
+    """
+    row, column = np.divmod(np.arange(size * size), size)
+    across = -(-size // _TILE)
+    tile = (row // _TILE) * across + column // _TILE
+    mixed = tile * _MIXER % _PRIME
+    return np.lexsort((column, row, mixed)).astype(np.uint32)
+
+
+def _checked(samples: int, options: CaptureOptions, directions: Array | None) -> Array:
+    toward = np.zeros((0, 3)) if directions is None else np.asarray(directions, dtype=np.float64)
+    check_shape("directions", toward, "D 3")
+    check_samples("samples", samples)
+    check_samples("samples times paths", samples * options.paths)
+    if samples * options.paths < len(toward):
+        raise BadInput(
+            f"samples times paths: {samples * options.paths} found, {len(toward)} lights need as many"
+        )
+    length = np.linalg.norm(toward, axis=1)
+    if np.any(np.abs(length - 1.0) > 1e-5):
+        raise BadInput(f"directions: lengths {length.min():.6g} to {length.max():.6g} found, 1 allowed")
+    return toward

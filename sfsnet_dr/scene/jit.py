@@ -6,6 +6,11 @@ computes with Dr.Jit or Mitsuba gets them from here; importing this file starts 
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
 from sfsnet_dr.base import runtime
 
 runtime.start()
@@ -13,4 +18,25 @@ runtime.start()
 import drjit as dr  # noqa: E402  (the variant is chosen first)
 import mitsuba as mi  # noqa: E402
 
-__all__ = ["dr", "mi"]
+__all__ = ["dr", "mi", "upload"]
+
+_NUMPY: dict[Any, npt.DTypeLike] = {mi.Float: np.float32, mi.UInt32: np.uint32}
+_ALIGNMENT = 64  # bytes: the widest vector that Dr.Jit compiles for
+
+
+def upload(kind: Any, array: npt.ArrayLike) -> Any:
+    """A Dr.Jit array of one of Mitsuba's types, such as ``mi.Float``, with the values of a NumPy array.
+
+    Dr.Jit maps NumPy's memory instead of copying it, and compiles one kernel for memory that is aligned and
+    another for memory that is not. NumPy aligns by chance, so each face might compile its kernels again.
+
+    Args:
+        kind: a type of one dimension.
+        array: of any shape; read in C order.
+    """
+    values: npt.NDArray[Any] = np.ravel(np.asarray(array, dtype=_NUMPY[kind]))
+    memory = np.empty(values.nbytes + _ALIGNMENT, dtype=np.uint8)
+    first = -memory.ctypes.data % _ALIGNMENT
+    aligned = memory[first : first + values.nbytes].view(values.dtype)
+    aligned[:] = values
+    return kind(aligned)

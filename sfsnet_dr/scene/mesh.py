@@ -33,6 +33,9 @@ class Region(IntEnum):
     TONGUE = 12
 
 
+#: Label of a pixel that shows no surface.
+NO_REGION = 255
+
 #: Regions of face skin: the losses and errors are counted on them.
 FACE_REGIONS = (Region.SKIN, Region.LIPS, Region.BROW, Region.EYELID)
 
@@ -47,6 +50,7 @@ class Mesh:
         albedo: (V, 3) linear Rec. 709 reflectance in [0, 1].
         regions: (V,) values of ``Region``.
         normals: (V, 3) unit shading normals.
+        roughness_mix: (V,) share of the shinier of the two glossy lobes, in [0, 1]; None is 0 everywhere.
     """
 
     vertices: Array
@@ -54,9 +58,12 @@ class Mesh:
     albedo: Array
     regions: npt.NDArray[np.uint8]
     normals: Array
+    roughness_mix: Array | None = None
 
     def __post_init__(self) -> None:
         count = check_shape("Mesh.vertices", self.vertices, "V 3")["V"]
+        if self.roughness_mix is not None:
+            check_shape("Mesh.roughness_mix", self.roughness_mix, "V", V=count)
         check_shape("Mesh.faces", self.faces, "F 3")
         for name in ("albedo", "normals"):
             check_shape(f"Mesh.{name}", getattr(self, name), "V 3", V=count)

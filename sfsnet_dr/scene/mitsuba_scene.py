@@ -7,44 +7,63 @@ Importing it chooses the variant.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from sfsnet_dr.base.checks import BadInput, check_shape
-from sfsnet_dr.scene.jit import dr, mi
-from sfsnet_dr.scene.mesh import FACE_REGIONS, Mesh
+from sfsnet_dr.scene.jit import dr, mi, upload
+from sfsnet_dr.scene.mesh import Mesh
 from sfsnet_dr.scene.spec import CameraSpec
+from sfsnet_dr.scene.vertex_texture import PLUGIN
 
 Array = npt.NDArray[np.float64]
 
 #: Size of the environment map: rows, columns. 64 x 128 texels resolve the sharpest lobe of the light prior.
 ENVIRONMENT_SIZE = (64, 128)
 
+#: Index of refraction of the skin's oily surface, and the GGX roughness of its dull and its shiny lobe.
+SURFACE_IOR: Final = 1.4
+DULL_ALPHA, SHINY_ALPHA = 0.45, 0.2
+
 _ALBEDO = "vertex_color"
-_FACE = "vertex_face"  # 1 on face skin, 0 elsewhere
+_MIX = "vertex_roughness_mix"
+_REGION = "face_region"  # one label a triangle; labels of vertices cannot be interpolated
 
 
 class SurfaceScene:
-    """One mesh and one camera, lit by an environment map or by directional lights.
+    """One mesh and one camera, lit by an environment map, by directional lights, or by both.
+
+    The surface is diffuse, or with ``gloss`` a diffuse body under a rough dielectric interface: Mitsuba's
+    ``roughplastic`` with two lobes, mixed by the mesh's ``roughness_mix``.
 
     Convention: as in ``base.conventions``; the environment follows ``sh.projection``.
 
     Args:
-        mesh: the first surface. Later ones need the same number of vertices and the same triangles.
-        camera: where the camera stands.
-        directional: pairs of (3,) direction toward the light and (3,) irradiance on a surface that faces it;
-            with any, there is no environment: the path tracer would waste its samples on a black one.
+        mesh: the first surface. Later ones need the same number of vertices and of triangles.
+        camera: where the camera stands; its image size is fixed, its distance can be exchanged.
+        directional: pairs of (3,) direction toward the light and (3,) irradiance on a surface that faces it.
+        environment: whether there is an environment map; if not said, there is one without ``directional``
+            only: the path tracer would waste its samples on a black one.
+        gloss: whether the surface has the glossy lobes.
     """
 
     def __init__(
-        self, mesh: Mesh, camera: CameraSpec, directional: Sequence[tuple[Array, Array]] = ()
+        self,
+        mesh: Mesh,
+        camera: CameraSpec,
+        directional: Sequence[tuple[Array, Array]] = (),
+        *,
+        environment: bool | None = None,
+        gloss: bool = False,
     ) -> None:
-        self.camera = camera
+        self.camera, self.gloss = camera, gloss
         self._vertex_count, self._face_count = len(mesh.vertices), len(mesh.faces)
-        self._has_environment = not directional
-        scene: dict[str, Any] = {"type": "scene", "camera": _sensor(camera), "surface": _mesh(mesh)}
+        self._directional_count = len(directional)
+        self._has_environment = not directional if environment is None else environment
+        self._surface = _mesh(mesh, gloss)
+        scene: dict[str, Any] = {"type": "scene", "camera": _sensor(camera), "surface": self._surface}
         if self._has_environment:
             black = np.zeros((*ENVIRONMENT_SIZE, 3), dtype=np.float32)
             scene["environment"] = {"type": "envmap", "bitmap": mi.Bitmap(black)}
@@ -52,15 +71,50 @@ class SurfaceScene:
             scene[f"directional{k}"] = _directional(direction, irradiance)
         self.mi_scene = mi.load_dict(scene)
         self._parameters = mi.traverse(self.mi_scene)
-        self._parameters.keep([r"surface\..*", r"environment\.data"])
+        self._parameters.keep([r"surface\..*", r"environment\.data", r"directional\d+\..*", r"camera\..*"])
+
+    @property
+    def bsdf(self) -> mi.BSDF:
+        """The surface's BSDF itself: calls to it need no dispatch over the BSDFs of all scenes."""
+        return self._surface.bsdf()
+
+    def albedo_at(self, hit: mi.SurfaceInteraction3f, active: mi.Bool) -> mi.Color3f:
+        """Linear albedo at a hit: what the BSDF uses."""
+        return self._surface.eval_attribute_3(_ALBEDO, hit, active)
+
+    def roughness_mix_at(self, hit: mi.SurfaceInteraction3f, active: mi.Bool) -> mi.Float:
+        """Share of the shiny lobe at a hit."""
+        return self._surface.eval_attribute_1(_MIX, hit, active)
+
+    def region_at(self, hit: mi.SurfaceInteraction3f, active: mi.Bool) -> mi.UInt32:
+        """Label of ``scene.mesh.Region`` of the triangle at a hit."""
+        return mi.UInt32(self._surface.eval_attribute_1(_REGION, hit, active) + 0.5)
 
     def fits(self, mesh: Mesh, camera: CameraSpec) -> bool:
         """Whether a mesh and camera can be shown by this scene without building another."""
         counts = (len(mesh.vertices), len(mesh.faces))
-        return camera == self.camera and counts == (self._vertex_count, self._face_count)
+        return camera.size == self.camera.size and counts == (self._vertex_count, self._face_count)
+
+    def set_camera(self, camera: CameraSpec) -> None:
+        """Move the camera.
+
+        Raises:
+            BadInput: for another image size.
+        """
+        if camera.size != self.camera.size:
+            raise BadInput(
+                f"camera.size: {camera.size} found, {self.camera.size} expected; make a new SurfaceScene"
+            )
+        if camera == self.camera:
+            return
+        sensor = _sensor(camera)
+        self._parameters["camera.to_world"] = mi.Transform4f(sensor["to_world"].matrix)
+        self._parameters["camera.x_fov"] = mi.Float(sensor["fov"])
+        self._parameters.update()
+        self.camera = camera
 
     def set_mesh(self, mesh: Mesh) -> None:
-        """Exchange positions, normals, albedo and the face mask; the acceleration structure follows.
+        """Exchange triangles, positions, normals, albedo, gloss and regions; what rays hit follows.
 
         Goes through the scene's parameters: through the mesh's own, rays would go on hitting the old surface.
 
@@ -97,6 +151,28 @@ class SurfaceScene:
         self._parameters["environment.data"] = mi.TensorXf(wrapped)
         self._parameters.update()
 
+    def set_directional(self, lights: Sequence[tuple[Array, Array]]) -> None:
+        """Exchange the directional lights.
+
+        Args:
+            lights: as many pairs of direction and irradiance as the scene was made with.
+
+        Raises:
+            BadInput: for another number of lights.
+        """
+        if len(lights) != self._directional_count:
+            raise BadInput(
+                f"directional: {len(lights)} lights found, {self._directional_count} expected; "
+                "make a new SurfaceScene"
+            )
+        for k, (direction, irradiance) in enumerate(lights):
+            frame = mi.Frame3f(mi.Vector3f(*(-float(x) for x in direction)))
+            columns = [[*frame.s, 0], [*frame.t, 0], [*frame.n, 0], [0, 0, 0, 1]]
+            matrix = np.array([[float(np.ravel(x)[0]) for x in column] for column in columns]).T
+            self._parameters[f"directional{k}.to_world"] = mi.Transform4f(matrix)
+            self._parameters[f"directional{k}.irradiance.value"] = mi.Color3f(*(float(x) for x in irradiance))
+        self._parameters.update()
+
 
 def camera_rays(camera: CameraSpec, pixel: mi.UInt32, offset: mi.Point2f) -> mi.Ray3f:
     """Rays through pixels, numbered row * size + column, at offsets in [0, 1)^2 from the upper left."""
@@ -109,41 +185,61 @@ def camera_rays(camera: CameraSpec, pixel: mi.UInt32, offset: mi.Point2f) -> mi.
     return mi.Ray3f(origin, dr.normalize(mi.Vector3f(x, y, -distance)))
 
 
-def albedo_at(hit: mi.SurfaceInteraction3f, active: mi.Bool) -> mi.Color3f:
-    """Linear albedo at a hit: what the surface's BSDF uses."""
-    return hit.shape.eval_attribute_3(_ALBEDO, hit, active)
-
-
-def face_at(hit: mi.SurfaceInteraction3f, active: mi.Bool) -> mi.Bool:
-    """Whether a hit lies on face skin."""
-    return hit.shape.eval_attribute_1(_FACE, hit, active) > 0.5
-
-
-def _mesh(mesh: Mesh) -> mi.Mesh:
+def _mesh(mesh: Mesh, gloss: bool) -> mi.Mesh:
     properties = mi.Properties()
-    properties["bsdf"] = mi.load_dict(
-        {"type": "diffuse", "reflectance": {"type": "mesh_attribute", "name": _ALBEDO}}
-    )
+    properties["bsdf"] = mi.load_dict(_bsdf(gloss))
     shape = mi.Mesh("surface", len(mesh.vertices), len(mesh.faces), has_vertex_normals=True, props=properties)
     shape.add_attribute(_ALBEDO, 3, np.zeros(3 * len(mesh.vertices), dtype=np.float32))
-    shape.add_attribute(_FACE, 1, np.zeros(len(mesh.vertices), dtype=np.float32))
+    shape.add_attribute(_MIX, 1, np.zeros(len(mesh.vertices), dtype=np.float32))
+    shape.add_attribute(_REGION, 1, np.zeros(len(mesh.faces), dtype=np.float32))
     parameters = mi.traverse(shape)
-    parameters["faces"] = mi.UInt32(mesh.faces.ravel())
     for key, values in _mesh_values(mesh).items():
-        parameters[key] = mi.Float(values)
+        parameters[key] = values
     parameters.update()
     return shape
 
 
-def _mesh_values(mesh: Mesh) -> dict[str, npt.NDArray[np.float32]]:
-    on_face = np.isin(mesh.regions, FACE_REGIONS)
-    values = {
+def _bsdf(gloss: bool) -> dict[str, Any]:
+    albedo = {"type": PLUGIN, "name": _ALBEDO}
+    if not gloss:
+        return {"type": "diffuse", "reflectance": albedo}
+    return {
+        "type": "blendbsdf",
+        "weight": {"type": "mesh_attribute", "name": _MIX},
+        "dull": lobe(DULL_ALPHA, albedo),
+        "shiny": lobe(SHINY_ALPHA, albedo),
+    }
+
+
+def lobe(alpha: float, albedo: dict[str, Any]) -> dict[str, Any]:
+    """A rough dielectric interface of one roughness over a diffuse body, as Mitsuba's plugin."""
+    return {
+        "type": "roughplastic",
+        "distribution": "ggx",
+        "alpha": alpha,
+        "int_ior": SURFACE_IOR,
+        "nonlinear": False,
+        "diffuse_reflectance": albedo,
+    }
+
+
+def _mesh_values(mesh: Mesh) -> dict[str, mi.Float | mi.UInt32]:
+    mix = np.zeros(len(mesh.vertices)) if mesh.roughness_mix is None else mesh.roughness_mix
+    floats: dict[str, npt.NDArray[Any]] = {
         "vertex_positions": mesh.vertices,
         "vertex_normals": mesh.normals,
         _ALBEDO: mesh.albedo,
-        _FACE: on_face,
+        _MIX: mix,
+        _REGION: _triangle_labels(mesh),
     }
-    return {key: np.ascontiguousarray(array, dtype=np.float32).ravel() for key, array in values.items()}
+    values = {key: upload(mi.Float, array) for key, array in floats.items()}
+    return {"faces": upload(mi.UInt32, mesh.faces), **values}
+
+
+def _triangle_labels(mesh: Mesh) -> npt.NDArray[np.uint8]:
+    """(F,) label that two corners share, else the first corner's."""
+    first, second, third = (mesh.regions[mesh.faces[:, k]] for k in range(3))
+    return np.where(second == third, second, first)
 
 
 def _sensor(camera: CameraSpec) -> dict[str, Any]:
