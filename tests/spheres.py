@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from sfsnet_dr.data.bundle import Bundle, BundleMeta, write_bundle
 from sfsnet_dr.data.manifest import Entry, Manifest
+from sfsnet_dr.scene.mesh import NO_REGION, Region
 from sfsnet_dr.sh.basis import sh_basis
 from sfsnet_dr.sh.coefficients import Radiance
 from sfsnet_dr.sh.kernel import band_of, clamped_cosine
@@ -20,7 +21,8 @@ SPEC = "spheres"
 def sphere_bundle(seed: int, size: int = 16) -> Bundle:
     """A convex Lambertian ball, off the middle and of uneven colour.
 
-    A convex body shadows nothing, so transport_k = albedo A_l / pi Y_k(n) exactly.
+    A convex body shadows nothing, so transport_k = albedo A_l / pi Y_k(n) and lamps_d = albedo / pi (n . w)+
+    exactly.
     """
     rng = np.random.default_rng([seed, 99])
     centre, radius = rng.uniform(-0.2, 0.2, 2), rng.uniform(0.6, 0.75)
@@ -34,14 +36,21 @@ def sphere_bundle(seed: int, size: int = 16) -> Bundle:
     transport = albedo * np.moveaxis(sh_basis(normal, 2) * factor, -1, 0)[..., None]
     light = Radiance(rng.normal(size=(9, 3)))
     reference = np.einsum("khwc,kc->hwc", transport, light.values)
+    directions = rng.normal(size=(2, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    lamps = albedo / np.pi * np.maximum(np.einsum("hwc,dc->dhw", normal, directions), 0.0)[..., None]
     return Bundle(
         normal=as_float32(normal),
         albedo=as_float32(albedo),
         mask=inside,
         coverage=inside,
+        regions=np.where(inside > 0, Region.SKIN, NO_REGION).astype(np.uint8),
         reference=as_float32(reference),
         variance=as_float32(np.full(normal.shape, 1e-9)),
         transport=as_float32(transport),
+        gloss=np.zeros((0, size, size), np.float32),
+        lamps=as_float32(lamps),
+        directions=directions,
         meta=BundleMeta(seed, "sphere", SPEC, light, {"spp": 0}),
     )
 

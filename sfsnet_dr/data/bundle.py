@@ -18,13 +18,17 @@ from sfsnet_dr.sh.kernel import order_of
 Array = NDArray[np.float32]
 
 #: Version of the layout below; a file of another version is refused.
-VERSION: Final = 1
+VERSION: Final = 2
+
+#: Responses of the glossy part, of order 2.
+_GLOSS: Final = 9
 
 #: Prefix of every metadata key.
 PREFIX: Final = "sfsnet_dr:"
 
 _VECTORS: Final = {"normal": "XYZ", "albedo": "RGB", "reference": "RGB", "variance": "RGB"}
-_SCALARS: Final = ("mask", "coverage")
+_SCALARS: Final = ("mask", "coverage", "regions")
+_FLOATS: Final = (*_VECTORS, "mask", "coverage", "transport", "gloss", "lamps", "directions")
 
 
 @dataclass(frozen=True)
@@ -36,7 +40,7 @@ class BundleMeta:
         face_model: name of the face model.
         spec_hash: hash of the specification that the whole dataset shares.
         light: radiance coefficients of the light of ``reference`` (K, 3).
-        extra: anything JSON can hold: samples per pixel, light directions, pose, versions.
+        extra: anything JSON can hold: samples per pixel, pose, versions.
     """
 
     seed: int
@@ -55,23 +59,34 @@ class Bundle:
         albedo: reflectance in [0, 1], (H, W, 3).
         mask: share of the pixel that is face skin which counts, in [0, 1], (H, W).
         coverage: share of the pixel that the head covers, in [0, 1], (H, W).
+        regions: label of ``scene.mesh.Region`` that most of the pixel shows, or ``NO_REGION``, (H, W) uint8.
         reference: path-traced image under ``meta.light``, (H, W, 3).
         variance: variance of the mean ``reference``, (H, W, 3).
-        transport: linear image that the light of radiance Y_k alone gives, albedo and visibility
-            included, (K, H, W, 3); may be negative, for a basis function is.
+        transport: linear image that the light of radiance Y_k alone gives, albedo, visibility and
+            interreflection included, but without that light's mirror image in the surface's gloss,
+            (K, H, W, 3); may be negative, for a basis function is.
+        gloss: that mirror image, the same in every colour, (9, H, W); (0, H, W) for a diffuse surface.
+        lamps: linear image that a directional light of irradiance 1 on a surface facing it gives, gloss and
+            hard shadows included, (D, H, W, 3); D may be 0.
+        directions: unit vectors toward these lights, (D, 3).
         meta: what the numbers belong to.
 
     Raises:
-        BadInput: if a shape does not fit the others, or a value is NaN or infinite.
+        BadInput: if a shape does not fit the others, a value is NaN or infinite, or a direction has another
+            length than 1.
     """
 
     normal: Array
     albedo: Array
     mask: Array
     coverage: Array
+    regions: NDArray[np.uint8]
     reference: Array
     variance: Array
     transport: Array
+    gloss: Array
+    lamps: Array
+    directions: NDArray[np.float64]
     meta: BundleMeta
 
     def __post_init__(self) -> None:
@@ -81,9 +96,16 @@ class Bundle:
         for name in _SCALARS:
             check_shape(name, getattr(self, name), "H W", **sizes)
         order_of(check_shape("transport", self.transport, "K H W 3", **sizes)["K"])
-        for name in (*_VECTORS, *_SCALARS, "transport"):
+        if check_shape("gloss", self.gloss, "G H W", **sizes)["G"] not in (0, _GLOSS):
+            raise BadInput(f"gloss: {len(self.gloss)} responses found, 0 or {_GLOSS} allowed")
+        count = check_shape("lamps", self.lamps, "D H W 3", **sizes)["D"]
+        check_shape("directions", self.directions, "D 3", D=count)
+        for name in _FLOATS:
             if not np.isfinite(getattr(self, name)).all():
                 raise BadInput(f"{name}: NaN or inf found, finite values are needed")
+        lengths = np.linalg.norm(self.directions, axis=1)
+        if np.any(np.abs(lengths - 1.0) > 1e-6):
+            raise BadInput(f"directions: lengths {lengths.min():g} to {lengths.max():g} found, 1 allowed")
 
 
 def write_bundle(path: Path | str, bundle: Bundle) -> None:
@@ -98,8 +120,12 @@ def write_bundle(path: Path | str, bundle: Bundle) -> None:
         channels[f"{name}.Y"] = getattr(bundle, name)
     for k, image in enumerate(bundle.transport):
         channels |= _planes(f"transport.{k:02d}", "RGB", image)
+    for k, image in enumerate(bundle.gloss):
+        channels[f"gloss.{k:02d}.Y"] = image
+    for k, image in enumerate(bundle.lamps):
+        channels |= _planes(f"lamps.{k:02d}", "RGB", image)
     float32 = {f"variance.{letter}" for letter in "RGB"}
-    write_exr(path, channels, _to_strings(bundle.meta, len(bundle.transport)), float32)
+    write_exr(path, channels, _to_strings(bundle), float32)
 
 
 def read_bundle(path: Path | str) -> Bundle:
@@ -109,17 +135,35 @@ def read_bundle(path: Path | str) -> Bundle:
         BadInput: if the file is missing, is no bundle, is of another version or lacks a channel.
     """
     channels, strings = read_exr(path)
-    meta, count = _from_strings(Path(path), strings)
+    values = _from_strings(Path(path), strings)
     try:
-        vectors = {name: _stack(channels, name, letters) for name, letters in _VECTORS.items()}
-        scalars = {name: channels[f"{name}.Y"] for name in _SCALARS}
-        transport = np.stack([_stack(channels, f"transport.{k:02d}", "RGB") for k in range(count)])
+        meta = _meta(values)
+        directions = np.array(values["directions"], dtype=np.float64).reshape(-1, 3)
+        counts = {name: int(values[name]) for name in ("transport", "gloss")}
+    except KeyError as error:
+        raise BadInput(f"{path}: metadata {PREFIX}{error.args[0]} is missing; render again") from error
+    try:
+        arrays = _arrays(channels, counts["transport"], counts["gloss"], len(directions))
     except KeyError as error:
         raise BadInput(f"{path}: channel {error} is missing; render the bundle again") from error
     try:
-        return Bundle(**vectors, **scalars, transport=transport, meta=meta)
+        return Bundle(**arrays, directions=directions, meta=meta)
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from error
+
+
+def _arrays(channels: dict[str, Array], transport: int, gloss: int, lamps: int) -> dict[str, Any]:
+    arrays: dict[str, Any] = {name: _stack(channels, name, letters) for name, letters in _VECTORS.items()}
+    arrays |= {name: channels[f"{name}.Y"] for name in _SCALARS}
+    arrays["regions"] = arrays["regions"].astype(np.uint8)
+    height, width = arrays["mask"].shape
+    colours = {"transport": transport, "lamps": lamps}
+    for name, count in colours.items():
+        images = [_stack(channels, f"{name}.{k:02d}", "RGB") for k in range(count)]
+        arrays[name] = np.array(images, dtype=np.float32).reshape(count, height, width, 3)
+    planes = [channels[f"gloss.{k:02d}.Y"] for k in range(gloss)]
+    arrays["gloss"] = np.array(planes, dtype=np.float32).reshape(gloss, height, width)
+    return arrays
 
 
 def _planes(name: str, letters: str, image: Array) -> dict[str, Array]:
@@ -130,10 +174,13 @@ def _stack(channels: dict[str, Array], name: str, letters: str) -> Array:
     return np.stack([channels[f"{name}.{letter}"] for letter in letters], axis=-1)
 
 
-def _to_strings(meta: BundleMeta, count: int) -> dict[str, str]:
+def _to_strings(bundle: Bundle) -> dict[str, str]:
+    meta = bundle.meta
     values = {
         "version": VERSION,
-        "transport": count,
+        "transport": len(bundle.transport),
+        "gloss": len(bundle.gloss),
+        "directions": bundle.directions.tolist(),
         "seed": meta.seed,
         "face_model": meta.face_model,
         "spec_hash": meta.spec_hash,
@@ -143,7 +190,7 @@ def _to_strings(meta: BundleMeta, count: int) -> dict[str, str]:
     return {PREFIX + key: json.dumps(value, sort_keys=True) for key, value in values.items()}
 
 
-def _from_strings(path: Path, strings: dict[str, str]) -> tuple[BundleMeta, int]:
+def _from_strings(path: Path, strings: dict[str, str]) -> dict[str, Any]:
     values = {
         key.removeprefix(PREFIX): json.loads(text) for key, text in strings.items() if key.startswith(PREFIX)
     }
@@ -155,14 +202,14 @@ def _from_strings(path: Path, strings: dict[str, str]) -> tuple[BundleMeta, int]
         raise BadInput(
             f"{path}: bundle of version {values['version']} found, {VERSION} expected; render again"
         )
-    try:
-        meta = BundleMeta(
-            seed=values["seed"],
-            face_model=values["face_model"],
-            spec_hash=values["spec_hash"],
-            light=Radiance(np.array(values["light"])),
-            extra=values["extra"],
-        )
-        return meta, values["transport"]
-    except KeyError as error:
-        raise BadInput(f"{path}: metadata {PREFIX}{error.args[0]} is missing; render again") from error
+    return values
+
+
+def _meta(values: dict[str, Any]) -> BundleMeta:
+    return BundleMeta(
+        seed=values["seed"],
+        face_model=values["face_model"],
+        spec_hash=values["spec_hash"],
+        light=Radiance(np.array(values["light"])),
+        extra=values["extra"],
+    )

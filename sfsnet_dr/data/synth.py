@@ -16,25 +16,30 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from sfsnet_dr.base import provenance
 from sfsnet_dr.base.atomic import atomic_path, output_dir
 from sfsnet_dr.base.checks import BadInput, WorkFailed
 from sfsnet_dr.base.config import as_dict, fingerprint
-from sfsnet_dr.base.conventions import LIGHT_ORDER
 from sfsnet_dr.base.imageio import check_end
 from sfsnet_dr.data.bundle import Bundle, BundleMeta, read_bundle, write_bundle
 from sfsnet_dr.data.manifest import NAME, Entry, Manifest
 from sfsnet_dr.data.workers import choose
-from sfsnet_dr.scene.spec import FACE_SHAPES, CameraSpec, SceneSpec
+from sfsnet_dr.scene.light_sources import sample_direction
+from sfsnet_dr.scene.lights import MAP_ORDER
+from sfsnet_dr.scene.spec import FACE_SHAPES, SceneSpec
 from sfsnet_dr.sh.priors import sample_lights
 
 if TYPE_CHECKING:
-    from sfsnet_dr.scene.mesh import Mesh
+    from sfsnet_dr.scene.face import Face
     from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
 
-_LIGHT_STREAM = 16  # random stream of a seed's light, apart from those of its face
+# Random streams of a seed's reference light and of its directional lights, apart from those of its face.
+_LIGHT_STREAM, _DIRECTIONS_STREAM = 16, 17
 _PARTIAL = ".partial-"
+
+Array = npt.NDArray[np.float64]
 
 _scene: SurfaceScene | None = None  # one per process: another would compile and upload all anew
 
@@ -140,17 +145,19 @@ def render_file(spec: SceneSpec, scratch: Path | None, seed: int) -> bytes:
 
 def render_bundle(spec: SceneSpec, seed: int) -> Bundle:
     """Maps, transport and a path-traced reference of one seeded face."""
-    from sfsnet_dr.render.capture import capture
+    from sfsnet_dr.render.capture import CaptureOptions, capture
     from sfsnet_dr.render.reference import path_trace
     from sfsnet_dr.scene.face import sample_face
     from sfsnet_dr.scene.mitsuba_scene import ENVIRONMENT_SIZE
 
-    dataset, face = identity(spec), sample_face(seed, spec)
-    scene = _place_in_scene(face.mesh, face.pose.camera(spec.camera))
+    dataset, face, sampling = identity(spec), sample_face(seed, spec), spec.sampling
+    scene = _place_in_scene(spec, face)
+    directions = _sample_directions(seed, sampling.directions)
+    options = CaptureOptions(MAP_ORDER, sampling.bounces, sampling.paths)
+    maps = capture(scene, sampling.transport, seed, options, directions)
     light = sample_lights(np.random.default_rng((seed, _LIGHT_STREAM)), 1)[0]
     scene.set_environment(light.equirect(*ENVIRONMENT_SIZE))
-    maps = capture(scene, spec.sampling.transport, seed)
-    reference = path_trace(scene, spec.sampling.reference, seed, spec.sampling.depth)
+    reference = path_trace(scene, sampling.reference, seed, sampling.depth)
     extra: dict[str, Any] = {
         "spec": as_dict(dataset),
         "pose": as_dict(face.pose),
@@ -163,22 +170,34 @@ def render_bundle(spec: SceneSpec, seed: int) -> Bundle:
         albedo=maps.albedo,
         mask=maps.mask,
         coverage=maps.coverage,
+        regions=maps.regions,
         reference=reference.mean.astype(np.float32),
         variance=reference.variance.astype(np.float32),
         transport=maps.transport,
-        meta=BundleMeta(seed, spec.shape, fingerprint(dataset), light.coefficients(LIGHT_ORDER), extra),
+        gloss=maps.gloss,
+        lamps=maps.lamps,
+        directions=directions,
+        meta=BundleMeta(seed, spec.shape, fingerprint(dataset), light.coefficients(MAP_ORDER), extra),
     )
 
 
-def _place_in_scene(mesh: Mesh, camera: CameraSpec) -> SurfaceScene:
+def _place_in_scene(spec: SceneSpec, face: Face) -> SurfaceScene:
     from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
 
     global _scene
-    if _scene is None or not _scene.fits(mesh, camera):
-        _scene = SurfaceScene(mesh, camera)
+    camera = face.pose.camera(spec.camera)
+    if _scene is None or _scene.gloss != spec.has_gloss or not _scene.fits(face.mesh, camera):
+        _scene = SurfaceScene(face.mesh, camera, gloss=spec.has_gloss)
     else:
-        _scene.set_mesh(mesh)
+        _scene.set_camera(camera)
+        _scene.set_mesh(face.mesh)
     return _scene
+
+
+def _sample_directions(seed: int, count: int) -> Array:
+    """(count, 3) directions of a seed's directional lights, evenly spread in solid angle."""
+    rng = np.random.default_rng((seed, _DIRECTIONS_STREAM))
+    return np.array([sample_direction(rng) for _ in range(count)]).reshape(count, 3)
 
 
 def _list_in_order(

@@ -18,15 +18,12 @@ from sfsnet_dr.base.checks import BadInput, check_shape
 from sfsnet_dr.render import transport
 from sfsnet_dr.render.points import Points, Sampler, check_samples
 from sfsnet_dr.scene.jit import dr, mi, upload
-from sfsnet_dr.scene.mesh import FACE_REGIONS
+from sfsnet_dr.scene.mesh import FACE_REGIONS, NO_REGION
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene, camera_rays
 
 Image = npt.NDArray[np.float32]
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.uint32]
-
-#: Label of a pixel that shows no surface.
-NO_REGION = 255
 
 #: Multiples of a number modulo a prime, to mix tiles by; up to 2^31 - 1 of them are distinct.
 _MIXER, _PRIME = 1_327_217_885, (1 << 31) - 1
@@ -64,7 +61,7 @@ class Capture:
         regions: (H, W) label of ``scene.mesh.Region`` that most of the pixel's samples hit, or ``NO_REGION``.
         transport: (K, H, W, 3) response to the radiance basis lights, without gloss seen directly.
         gloss: (9, H, W) their mirror images in the glossy lobes; (0, H, W) for a surface without.
-        directional: (D, H, W, 3) response to a light of irradiance 1 in each direction.
+        lamps: (D, H, W, 3) response to a light of irradiance 1 in each direction.
         rays: number of rays that were traced.
     """
 
@@ -75,7 +72,7 @@ class Capture:
     regions: npt.NDArray[np.uint8]
     transport: Image
     gloss: Image
-    directional: Image
+    lamps: Image
     rays: int
 
 
@@ -100,9 +97,9 @@ def capture(
     Raises:
         BadInput: for sample counts that the sampler cannot place, or directions that are no unit vectors.
     """
-    lamps = _checked(samples, options, directions)
+    toward = _checked(samples, options, directions)
     pixels = _covered(scene)
-    stage = _stage(scene, pixels, samples, seed, options, lamps)
+    stage = _stage(scene, pixels, samples, seed, options, toward)
     sizes = stage.sizes()
     traced = _read(transport.trace(stage)) if len(pixels) else np.zeros((sum(sizes.values()), 0))
     values = _to_image(traced, pixels, scene.camera.size)
@@ -111,13 +108,13 @@ def capture(
         **_maps(parts["maps"] / samples),
         transport=_by_colour(parts["transport"]),
         gloss=np.moveaxis(parts["gloss"], -1, 0).astype(np.float32),
-        directional=_by_colour(parts["directional"]),
+        lamps=_by_colour(parts["lamps"]),
         rays=int(parts["rays"].sum()),
     )
 
 
 def _stage(
-    scene: SurfaceScene, pixels: Indices, samples: int, seed: int, options: CaptureOptions, lamps: Array
+    scene: SurfaceScene, pixels: Indices, samples: int, seed: int, options: CaptureOptions, toward: Array
 ) -> transport.Stage:
     pixel = upload(mi.UInt32, pixels)
     state = int(np.random.SeedSequence(seed).generate_state(1)[0])
@@ -127,7 +124,7 @@ def _stage(
         Points(options.sampler, pixel, dr.opaque(mi.UInt32, state)),
         samples=samples,
         paths=options.paths,
-        lamps=lamps,
+        lamps=toward,
         order=options.order,
         bounces=options.bounces,
     )
@@ -196,15 +193,15 @@ def _by_tiles(size: int) -> Indices:
 
 
 def _checked(samples: int, options: CaptureOptions, directions: Array | None) -> Array:
-    lamps = np.zeros((0, 3)) if directions is None else np.asarray(directions, dtype=np.float64)
-    check_shape("directions", lamps, "D 3")
+    toward = np.zeros((0, 3)) if directions is None else np.asarray(directions, dtype=np.float64)
+    check_shape("directions", toward, "D 3")
     check_samples("samples", samples)
     check_samples("samples times paths", samples * options.paths)
-    if samples * options.paths < len(lamps):
+    if samples * options.paths < len(toward):
         raise BadInput(
-            f"samples times paths: {samples * options.paths} found, {len(lamps)} lights need as many"
+            f"samples times paths: {samples * options.paths} found, {len(toward)} lights need as many"
         )
-    length = np.linalg.norm(lamps, axis=1)
+    length = np.linalg.norm(toward, axis=1)
     if np.any(np.abs(length - 1.0) > 1e-5):
         raise BadInput(f"directions: lengths {length.min():.6g} to {length.max():.6g} found, 1 allowed")
-    return lamps
+    return toward

@@ -75,7 +75,7 @@ class Stage:
         return {
             "transport": 3 * (self.order + 1) ** 2,
             "gloss": (GLOSS_ORDER + 1) ** 2 if self.scene.gloss else 0,
-            "directional": 3 * self.lamp_count,
+            "lamps": 3 * self.lamp_count,
             "maps": 6 + len(Region),
             "rays": 1,
         }
@@ -84,6 +84,9 @@ class Stage:
 @dr.syntax
 def trace(stage: Stage) -> mi.ArrayXf:
     """All values of all pixels, (values, lanes), in one symbolic loop over the samples."""
+    # A block of its own: constants that an earlier block left alive would move in the code, and its kernel
+    # would be another.
+    dr.detail.new_scope(dr.backend_v(mi.Float))
     sums = dr.zeros(mi.ArrayXf, (sum(stage.sizes().values()), dr.width(stage.pixel)))
     step = mi.UInt32(0)
     while step < stage.sample_count:

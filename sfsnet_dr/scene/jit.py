@@ -20,7 +20,7 @@ import mitsuba as mi  # noqa: E402
 
 __all__ = ["dr", "mi", "upload"]
 
-_NUMPY: dict[Any, type] = {mi.Float: np.float32, mi.UInt32: np.uint32}
+_NUMPY: dict[Any, npt.DTypeLike] = {mi.Float: np.float32, mi.UInt32: np.uint32}
 _ALIGNMENT = 64  # bytes: the widest vector that Dr.Jit compiles for
 
 

@@ -36,6 +36,9 @@ class Region(IntEnum):
     TONGUE = 12
 
 
+#: Label of a pixel that shows no surface.
+NO_REGION = 255
+
 #: Regions of face skin: the losses and errors are counted on them.
 FACE_REGIONS = (Region.SKIN, Region.LIPS, Region.BROW, Region.EYELID)
 

