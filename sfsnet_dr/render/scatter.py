@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from sfsnet_dr.scene.jit import dr, mi
 from sfsnet_dr.scene.mitsuba_scene import DULL_ALPHA, SHINY_ALPHA, SurfaceScene, lobe
+from sfsnet_dr.sh.kernel import clamped_cosine
 
 Array = npt.NDArray[np.float64]
 
@@ -41,13 +42,24 @@ class Scatter:
         self.albedo = dr.select(self.active, scene.albedo_at(hit, self.active), 0.0)
         self._gloss, self._wi = scene.gloss, hit.wi
         if self._gloss:
-            self._mix = dr.clip(scene.roughness_mix_at(hit, self.active), 0.0, 1.0)
-            self._entering = _transmittance(self._wi.z)
+            mix = scene.roughness_mix_at(hit, self.active)
+            self._mix = dr.select(self.active, dr.clip(mix, 0.0, 1.0), 0.0)
+            self._entering = dr.select(self.active, _transmittance(self._wi.z), 0.0)
 
     def diffuse(self, toward: mi.Vector3f) -> mi.Color3f:
         """Diffuse scattering toward a direction, times its cosine."""
         cosine = dr.select(toward.z > 0.0, toward.z, 0.0)
         return self._body(toward) * (cosine / dr.pi)
+
+    def unshadowed(self, order: int) -> list[mi.Color3f]:
+        """Response, by diffuse scattering alone, of a point that nothing shadows: one colour for each band.
+
+        The response to Y_lm is that of band l times Y_lm of the normal (Ramamoorthi and Hanrahan 2001).
+        """
+        if not self._gloss:
+            return [self.albedo * float(value) for value in clamped_cosine(order) / np.pi]
+        kernels = [self._entering * mi.Vector2f(*map(float, pair)) for pair in _kernels()[: order + 1]]
+        return [self.albedo * dr.lerp(pair.x, pair.y, self._mix) for pair in kernels]
 
     def gloss(self, toward: mi.Vector3f) -> mi.Float:
         """Glossy reflection toward a direction, times its cosine; the same for every colour."""
@@ -104,7 +116,7 @@ class Scatter:
 def prepare() -> None:
     """Read off Mitsuba's BSDF what is needed for gloss. Has to happen once, outside all symbolic loops."""
     _ior()
-    _table()
+    _kernels()
 
 
 @cache
@@ -126,6 +138,22 @@ def _table() -> mi.Float:
     table = mi.Float(np.concatenate([nodes[:-1], nodes[1:]], axis=1).ravel().astype(np.float32))
     dr.eval(table)
     return table
+
+
+@cache
+def _kernels() -> Array:
+    """(9, 2) zonal coefficients of (table times clamped cosine over pi), of the dull and the shiny lobe.
+
+    Exact for the table's straight lines: Gauss and Legendre's rule with 8 points on each of them.
+    """
+    edges = np.arange(_NODES) / (_NODES - 1)
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    cosine = edges[:-1, None] + (nodes + 1) / 2 * np.diff(edges)[:, None]
+    table = np.asarray(_table(), dtype=np.float64).reshape(-1, 4)
+    lines = table[:, None, :2] + (nodes[:, None] + 1) / 2 * (table[:, 2:] - table[:, :2])[:, None]
+    weight = weights / 2 * np.diff(edges)[:, None] * 2.0 * cosine
+    legendre = np.stack([np.polynomial.Legendre.basis(band)(cosine) for band in range(9)])
+    return np.asarray(np.einsum("ij,lij,ija->la", weight, legendre, lines))
 
 
 def _root(alpha: float, cosine: Array) -> Array:
