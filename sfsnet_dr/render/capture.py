@@ -101,8 +101,7 @@ def capture(
     pixels = _covered(scene)
     stage = _stage(scene, pixels, samples, seed, options, toward)
     sizes = stage.sizes()
-    traced = _read(transport.trace(stage)) if len(pixels) else np.zeros((sum(sizes.values()), 0))
-    values = _to_image(traced, pixels, scene.camera.size)
+    values = _to_image(_read(transport.trace(stage)), pixels, scene.camera.size)
     parts = dict(zip(sizes, np.split(values, np.cumsum([*sizes.values()])[:-1], axis=-1), strict=True))
     return Capture(
         **_maps(parts["maps"] / samples),
@@ -156,6 +155,7 @@ def _covered(scene: SurfaceScene) -> Indices:
     found = np.zeros(size * size, dtype=bool)
     found[order] = np.asarray(hits)
     near = binary_dilation(found.reshape(size, size), np.ones((3, 3), dtype=bool)).ravel()
+    near[0] = True  # kernels need a lane, even where there is nothing to see
     return np.asarray(order[near[order]])
 
 

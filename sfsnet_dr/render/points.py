@@ -56,7 +56,7 @@ def check_samples(name: str, samples: int) -> None:
         BadInput: naming the count and what is allowed.
     """
     if not 1 <= samples <= 1 << _BITS:
-        raise BadInput(f"{name}: {samples} samples found, 1 to {1 << _BITS} allowed")
+        raise BadInput(f"{name}: {samples} found, 1 to {1 << _BITS} allowed")
 
 
 class Points:

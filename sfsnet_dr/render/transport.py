@@ -24,10 +24,13 @@ from sfsnet_dr.render.scatter import Scatter, prepare
 from sfsnet_dr.scene.jit import dr, mi, upload
 from sfsnet_dr.scene.mesh import Region
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene, camera_rays
+from sfsnet_dr.sh.kernel import band_of
 from sfsnet_dr.sh.polynomials import sh_polynomials
 
 #: Order of G.
 GLOSS_ORDER: Final = 2
+
+_UP = mi.ScalarVector3f(0.0, 0.0, 1.0)  # any direction, where one is needed and none is looked at
 
 _NEEDED = mi.RayFlags.Minimal | mi.RayFlags.ShadingFrame
 
@@ -103,24 +106,33 @@ def trace(stage: Stage) -> mi.ArrayXf:
 
 
 def _first_point(stage: Stage, hit: Hit, at: Scatter) -> list[mi.Float]:
-    """What a camera ray adds where it hits: D of light seen from there, maps, and the number of rays."""
+    """What a camera ray adds where it hits: T as if nothing shadowed it, D of light seen from there, maps."""
+    share = 1.0 / mi.Float(stage.sample_count)
+    normal, bands = dr.select(at.active, hit.sh_frame.n, _UP), at.unshadowed(stage.order)
+    basis = zip(_basis(stage.order, normal), band_of(stage.order), strict=True)
+    answer = [value * bands[band][c] * share for value, band in basis for c in range(3)]
     values, rays = [], mi.Float(1.0)
     for k in range(stage.lamp_count):
         value, traced = _lamp_value(stage, hit, at, mi.UInt32(k), at.active)
-        values += [value[c] / mi.Float(stage.sample_count) for c in range(3)]
+        values += [value[c] * share for c in range(3)]
         rays += traced
-    sizes = stage.sizes()
-    none = [mi.Float(0.0)] * (sizes["transport"] + sizes["gloss"])
-    return [*none, *values, *_maps(stage, hit), rays]
+    return [*answer, *[mi.Float(0.0)] * stage.sizes()["gloss"], *values, *_maps(stage, hit), rays]
 
 
 def _paths(stage: Stage, index: mi.UInt32, hit: Hit, at: Scatter) -> list[mi.Float]:
-    """What paths number ``index`` add: T, G, D over further surface points, and the number of rays."""
+    """What paths number ``index`` add: T, G, D over further surface points, and the number of rays.
+
+    T of a point that nothing shadows is known (``_first_point``): where a first ray hits something, a diffuse
+    path takes back what it would have brought. So points in the open have no noise.
+    """
     count, random = stage.samples * stage.paths, stage.points.generator(index)
     lamp, share = _lamp_in_turn(stage, index)
     toward, weight = at.leave_diffuse(stage.points.direction(index, count))
     diffuse = _follow(stage, lamp, random, hit, toward, weight, at.active)
-    answer = _times(stage.order, diffuse.away, diffuse.weight)
+    first = dr.select(at.active, hit.to_world(toward), _UP)
+    found = _times(stage.order, diffuse.away, dr.select(diffuse.direct, 0.0, diffuse.weight))
+    lost = _times(stage.order, first, dr.select(diffuse.direct, 0.0, weight / mi.Float(stage.total)))
+    answer = [a - b for a, b in zip(found, lost, strict=True)]
     gloss, collected, rays = [], diffuse.collected, diffuse.rays
     if stage.scene.gloss:
         toward, mirrored = at.leave_gloss(*stage.points.lobe(index, count))
@@ -190,7 +202,7 @@ def _follow(
         weight = dr.select(active, weight * factor, weight)
         ray = dr.select(active, hit.spawn_ray(hit.to_world(toward)), ray)
         active &= dr.any(weight > 0.0)
-    away = dr.select(escaped, ray.d, mi.Vector3f(0.0, 0.0, 1.0))
+    away = dr.select(escaped, ray.d, _UP)
     return _End(away, dr.select(escaped, weight, 0.0), escaped & (bounce == 1), collected, rays)
 
 

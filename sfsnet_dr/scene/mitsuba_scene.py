@@ -7,12 +7,13 @@ Importing it chooses the variant.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from sfsnet_dr.base.checks import BadInput, check_shape
+from sfsnet_dr.scene.interface import DULL_ALPHA, SHINY_ALPHA, body_share, lobe
 from sfsnet_dr.scene.jit import dr, mi, upload
 from sfsnet_dr.scene.mesh import Mesh
 from sfsnet_dr.scene.spec import CameraSpec
@@ -23,11 +24,8 @@ Array = npt.NDArray[np.float64]
 #: Size of the environment map: rows, columns. 64 x 128 texels resolve the sharpest lobe of the light prior.
 ENVIRONMENT_SIZE = (64, 128)
 
-#: Index of refraction of the skin's oily surface, and the GGX roughness of its dull and its shiny lobe.
-SURFACE_IOR: Final = 1.4
-DULL_ALPHA, SHINY_ALPHA = 0.45, 0.2
-
 _ALBEDO = "vertex_color"
+_BODY = "vertex_body"  # reflectance under the interface; equal to the albedo without one
 _MIX = "vertex_roughness_mix"
 _REGION = "face_region"  # one label a triangle; labels of vertices cannot be interpolated
 
@@ -79,8 +77,12 @@ class SurfaceScene:
         return self._surface.bsdf()
 
     def albedo_at(self, hit: mi.SurfaceInteraction3f, active: mi.Bool) -> mi.Color3f:
-        """Linear albedo at a hit: what the BSDF uses."""
+        """Linear albedo at a hit."""
         return self._surface.eval_attribute_3(_ALBEDO, hit, active)
+
+    def body_at(self, hit: mi.SurfaceInteraction3f, active: mi.Bool) -> mi.Color3f:
+        """Reflectance that the BSDF has at a hit: under the interface, where there is gloss."""
+        return self._surface.eval_attribute_3(_BODY, hit, active)
 
     def roughness_mix_at(self, hit: mi.SurfaceInteraction3f, active: mi.Bool) -> mi.Float:
         """Share of the shiny lobe at a hit."""
@@ -126,8 +128,8 @@ class SurfaceScene:
                 f"mesh: {len(mesh.vertices)} vertices and {len(mesh.faces)} triangles found, "
                 f"{self._vertex_count} and {self._face_count} expected; make a new SurfaceScene"
             )
-        for key, values in _mesh_values(mesh).items():
-            self._parameters[f"surface.{key}"] = mi.Float(values)
+        for key, values in _mesh_values(mesh, self.gloss).items():
+            self._parameters[f"surface.{key}"] = values
         self._parameters.update()
 
     def set_environment(self, image: Array | float) -> None:
@@ -190,45 +192,36 @@ def _mesh(mesh: Mesh, gloss: bool) -> mi.Mesh:
     properties["bsdf"] = mi.load_dict(_bsdf(gloss))
     shape = mi.Mesh("surface", len(mesh.vertices), len(mesh.faces), has_vertex_normals=True, props=properties)
     shape.add_attribute(_ALBEDO, 3, np.zeros(3 * len(mesh.vertices), dtype=np.float32))
+    shape.add_attribute(_BODY, 3, np.zeros(3 * len(mesh.vertices), dtype=np.float32))
     shape.add_attribute(_MIX, 1, np.zeros(len(mesh.vertices), dtype=np.float32))
     shape.add_attribute(_REGION, 1, np.zeros(len(mesh.faces), dtype=np.float32))
     parameters = mi.traverse(shape)
-    for key, values in _mesh_values(mesh).items():
+    for key, values in _mesh_values(mesh, gloss).items():
         parameters[key] = values
     parameters.update()
     return shape
 
 
 def _bsdf(gloss: bool) -> dict[str, Any]:
-    albedo = {"type": PLUGIN, "name": _ALBEDO}
+    body = {"type": PLUGIN, "name": _BODY}
     if not gloss:
-        return {"type": "diffuse", "reflectance": albedo}
+        return {"type": "diffuse", "reflectance": body}
     return {
         "type": "blendbsdf",
         "weight": {"type": "mesh_attribute", "name": _MIX},
-        "dull": lobe(DULL_ALPHA, albedo),
-        "shiny": lobe(SHINY_ALPHA, albedo),
+        "dull": lobe(DULL_ALPHA, body),
+        "shiny": lobe(SHINY_ALPHA, body),
     }
 
 
-def lobe(alpha: float, albedo: dict[str, Any]) -> dict[str, Any]:
-    """A rough dielectric interface of one roughness over a diffuse body, as Mitsuba's plugin."""
-    return {
-        "type": "roughplastic",
-        "distribution": "ggx",
-        "alpha": alpha,
-        "int_ior": SURFACE_IOR,
-        "nonlinear": False,
-        "diffuse_reflectance": albedo,
-    }
-
-
-def _mesh_values(mesh: Mesh) -> dict[str, mi.Float | mi.UInt32]:
+def _mesh_values(mesh: Mesh, gloss: bool) -> dict[str, mi.Float | mi.UInt32]:
     mix = np.zeros(len(mesh.vertices)) if mesh.roughness_mix is None else mesh.roughness_mix
+    body = mesh.albedo / body_share(mix)[:, None] if gloss else mesh.albedo
     floats: dict[str, npt.NDArray[Any]] = {
         "vertex_positions": mesh.vertices,
         "vertex_normals": mesh.normals,
         _ALBEDO: mesh.albedo,
+        _BODY: body,
         _MIX: mix,
         _REGION: _triangle_labels(mesh),
     }
