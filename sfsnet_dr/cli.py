@@ -16,12 +16,14 @@ import tyro
 
 from sfsnet_dr.base.checks import BadInput, WorkFailed, nearest
 from sfsnet_dr.base.streams import standard_output_to_error
-from sfsnet_dr.commands import COMMANDS, Command
+from sfsnet_dr.commands.registry import COMMANDS
+from sfsnet_dr.commands.result import Command
 
 
 def overview() -> str:
     """What `sfsnet-dr` alone prints."""
-    rows = "\n".join(f"  {name:<10} {line}" for name, (_, line) in COMMANDS.items())
+    width = max(map(len, COMMANDS))
+    rows = "\n".join(f"  {name:<{width}}  {line}" for name, (_, line) in COMMANDS.items())
     return (
         f"Physically based inverse rendering of faces.\n\nusage: sfsnet-dr COMMAND ...\n\n{rows}\n\n"
         "`sfsnet-dr COMMAND --help` explains a command. Start with `sfsnet-dr doctor`, then `sfsnet-dr demo`."
@@ -35,12 +37,18 @@ def parse(argv: Sequence[str]) -> Command:
         BadInput: for an unknown command.
         SystemExit: with code 2 and tyro's explanation for wrong arguments of a command, with 0 for --help.
     """
-    name, *rest = argv
+    name, rest = _split(argv)
     if name not in COMMANDS:
         raise BadInput(f"command {name!r} found; {nearest(name, COMMANDS)}")
     return tyro.cli(
         COMMANDS[name][0], prog=f"sfsnet-dr {name}", args=rest, config=(tyro.conf.FlagCreatePairsOff,)
     )
+
+
+def _split(argv: Sequence[str]) -> tuple[str, list[str]]:
+    """The command's one or two words (``bench synth``), and its arguments."""
+    words = 2 if any(name.startswith(f"{argv[0]} ") for name in COMMANDS) else 1
+    return " ".join(argv[:words]), list(argv[words:])
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -15,11 +15,11 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from sfsnet_dr import commands
 from sfsnet_dr.base.checks import WorkFailed
 from sfsnet_dr.base.imageio import write_exr, write_png
 from sfsnet_dr.cli import main, overview
-from sfsnet_dr.commands import COMMANDS
+from sfsnet_dr.commands.registry import COMMANDS, start
+from sfsnet_dr.commands.result import Result
 from sfsnet_dr.model.sfsnet import SfSNet
 from sfsnet_dr.model.weights import save_weights
 
@@ -272,12 +272,12 @@ def test_json_is_all_that_goes_to_standard_output(folder: Path) -> None:
 def test_what_a_library_prints_does_not_reach_the_json(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    def chatty(_: commands.Demo) -> commands.Result:
+    def chatty(_: start.Demo) -> Result:
         print("hello from Python")
         subprocess.run(["echo", "hello from a child process"], check=True)
-        return commands.Result(text="text", json="[]")
+        return Result(text="text", json="[]")
 
-    monkeypatch.setattr(commands.Demo, "run", chatty)
+    monkeypatch.setattr(start.Demo, "run", chatty)
     assert main(["demo", "--json"]) == 0
     told = capfd.readouterr()
     assert told.out == "[]\n"
@@ -298,10 +298,10 @@ def test_other_ends_have_their_codes(
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    def fail(_: commands.Demo) -> commands.Result:
+    def fail(_: start.Demo) -> Result:
         raise error
 
-    monkeypatch.setattr(commands.Demo, "run", fail)
+    monkeypatch.setattr(start.Demo, "run", fail)
     assert main(["demo"]) == code
     assert capfd.readouterr().err == line
 

@@ -22,7 +22,7 @@ import pytest
 
 from sfsnet_dr.base.checks import BadInput, WorkFailed
 from sfsnet_dr.base.config import fingerprint
-from sfsnet_dr.commands import Synth
+from sfsnet_dr.commands.faces import Synth
 from sfsnet_dr.data import synth
 from sfsnet_dr.data.bundle import Bundle, read_bundle
 from sfsnet_dr.data.manifest import Manifest

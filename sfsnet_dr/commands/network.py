@@ -1,0 +1,102 @@
+"""Commands that train networks and use them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from sfsnet_dr.commands.faces import Synth, render_faces
+from sfsnet_dr.commands.result import Json, Out, Result, command_line, of_records
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train a network by a recipe, on faces relit on the fly.
+
+    Without --data the faces are rendered first, into OUT/faces. A stopped run goes on with --resume and ends
+    with the same weights as one that was never stopped.
+
+    Example: sfsnet-dr train training/recipes/smoke.toml --out out/smoke
+    """
+
+    recipe: Positional[
+        Annotated[Path, arg(metavar="RECIPE", help="Recipe (TOML); its head says what it costs.")]
+    ]
+    out: Out
+    data: Annotated[Path | None, arg(metavar="DIR", help="Folder that `sfsnet-dr synth` wrote.")] = None
+    faces: Annotated[int, arg(help="Faces to render where --data is not given.")] = 24
+    resume: Annotated[bool, arg(help="Go on from the last checkpoint in --out.")] = False
+    as_json: Json = False
+
+    def run(self) -> Result:
+        from sfsnet_dr.fit.recipe import read_recipe
+        from sfsnet_dr.fit.trainer import train
+        from sfsnet_dr.report.record import dotted, measured
+        from sfsnet_dr.scene.spec import SceneSpec
+
+        recipe = read_recipe(self.recipe)
+        data = self.data or self.out / "faces"
+        if self.data is None:
+            render_faces(SceneSpec("faces", "anny"), Synth(data, self.faces, resume=True))
+        result = train(recipe, data, self.out, resume=self.resume, progress=True)
+        records = [
+            measured(f"train.loss.{dotted(term)}", value, "1", command=command_line(), seed=recipe.seed)
+            for term, value in result.final.items()
+        ]
+        return of_records(records, f"weights: {result.weights}")
+
+
+@dataclass(frozen=True)
+class Decompose:
+    """Take photographs of faces apart: normals, albedo, shading, reconstruction and three relit views.
+
+    Writes OUT/NAME for each NAME.png: eight pictures, a sheet of them, and decomposition.exr to compute with.
+    A picture must be 128 x 128 in the canonical frame (eye centres at (45, 48) and (83, 48), x right, y
+    down), or its eye centres must be given: by --eyes, or in NAME.toml beside it with the two lines
+    eye_image_left = [x, y] and eye_image_right = [x, y].
+
+    Example: sfsnet-dr decompose me.jpg --eyes 201,190,255,188 --weights w.safetensors --out out/me
+    """
+
+    images: Positional[
+        Annotated[
+            tuple[Path, ...],
+            arg(
+                metavar="IMAGE",
+                help_behavior_hint="(required, several allowed)",
+                help="PNG, JPEG, EXR or HDR.",
+            ),
+        ]
+    ]
+    weights: Annotated[Path, arg(metavar="FILE", help="Weights that `sfsnet-dr train` wrote (.safetensors).")]
+    out: Out
+    eyes: Annotated[
+        str | None,
+        arg(
+            metavar="XL,YL,XR,YR",
+            help="Eye centres in pixels, the one on the image's left first; holds for every image.",
+        ),
+    ] = None
+    mask: Annotated[Path | None, arg(metavar="FILE", help="Picture of its size, white on the face.")] = None
+    as_json: Json = False
+
+    def run(self) -> Result:
+        from sfsnet_dr.apply.decompose import decompose, reconstruction_error
+        from sfsnet_dr.apply.picture import eyes_from_text
+        from sfsnet_dr.report.record import dotted, measured
+
+        eyes = None if self.eyes is None else eyes_from_text("--eyes", self.eyes)
+        faces = decompose(self.images, self.out, self.weights, eyes=eyes, mask=self.mask)
+        records = [
+            measured(
+                f"decompose.{dotted(face.name)}.reconstruction.mae_8bit",
+                reconstruction_error(face),
+                "8-bit sRGB",
+                command=command_line(),
+            )
+            for face in faces
+        ]
+        return of_records(records, *(f"written: {self.out / face.name}" for face in faces))

@@ -1,0 +1,23 @@
+"""Which commands there are."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from sfsnet_dr.commands.faces import Relight, Show, Synth
+from sfsnet_dr.commands.network import Decompose, Train
+from sfsnet_dr.commands.result import Command
+from sfsnet_dr.commands.start import Demo, Doctor
+from sfsnet_dr.commands.validation import Validate
+
+#: Commands by the words on the command line, with the line that the overview shows.
+COMMANDS: Final[dict[str, tuple[type[Command], str]]] = {
+    "doctor": (Doctor, "Check that this machine can render"),
+    "synth": (Synth, "Render faces with their ground truth"),
+    "show": (Show, "Make a contact sheet of rendered faces"),
+    "relight": (Relight, "Put one rendered face under another light"),
+    "train": (Train, "Train a network by a recipe"),
+    "decompose": (Decompose, "Take photographs of faces apart"),
+    "validate": (Validate, "Measure the SH renderer against the path tracer"),
+    "demo": (Demo, "Run the whole pipeline and write a report"),
+}
