@@ -18,7 +18,8 @@ from safetensors.torch import save_file
 from sfsnet_dr.base.checks import WorkFailed
 from sfsnet_dr.base.imageio import write_exr, write_png
 from sfsnet_dr.cli import main, overview
-from sfsnet_dr.commands.registry import COMMANDS, start
+from sfsnet_dr.commands import start
+from sfsnet_dr.commands.registry import COMMANDS
 from sfsnet_dr.commands.result import Result
 from sfsnet_dr.model.sfsnet import SfSNet
 from sfsnet_dr.model.weights import save_weights
