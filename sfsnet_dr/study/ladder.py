@@ -17,10 +17,9 @@ from sfsnet_dr.render import shading_drjit
 from sfsnet_dr.render.capture import Capture, capture
 from sfsnet_dr.render.compare import RelativeRmse, relative_rmse
 from sfsnet_dr.render.reference import Reference, path_trace
-from sfsnet_dr.scene import mesh as meshes
-from sfsnet_dr.scene.face import sample_face
 from sfsnet_dr.scene.mitsuba_scene import ENVIRONMENT_SIZE, SurfaceScene
-from sfsnet_dr.scene.spec import FACE_SHAPES, CameraSpec, SceneSpec
+from sfsnet_dr.scene.spec import FACE_SHAPES, SceneSpec
+from sfsnet_dr.scene.subject import build_subject
 from sfsnet_dr.sh.coefficients import Radiance
 from sfsnet_dr.sh.priors import LobeLight, sample_lights
 from sfsnet_dr.sh.projection import project_directional
@@ -122,7 +121,8 @@ def climb(spec: SceneSpec, seed: int = 0, on_light: Callable[[str], None] = lamb
         seed: of the head and of the references' noise.
         on_light: called with a light's name when it is done.
     """
-    surface, camera = _surface(spec, seed)
+    subject = build_subject(spec, seed)
+    surface, camera = subject.mesh, subject.camera
     soft, hard = SurfaceScene(surface, camera), SurfaceScene(surface, camera, (HARD_LIGHT,))
     capture(soft, 1, seed)  # compiles
     maps, capture_seconds = _timed(lambda: capture(soft, spec.sampling.transport, seed), repeats=1)
@@ -141,16 +141,6 @@ def study_lights() -> list[Light]:
     """The lights that every scene is measured under."""
     natural = sample_lights(np.random.default_rng(_LIGHT_SEED), NATURAL_LIGHTS)
     return [Light(f"natural{k}", light) for k, light in enumerate(natural)] + [Light("directional45", None)]
-
-
-def _surface(spec: SceneSpec, seed: int) -> tuple[meshes.Mesh, CameraSpec]:
-    albedo = spec.albedo or (0.5, 0.5, 0.5)
-    if spec.shape == "sphere":
-        return meshes.sphere(albedo=albedo), spec.camera
-    if spec.shape == "plane":
-        return meshes.plane(albedo=albedo), spec.camera
-    face = sample_face(seed, spec)
-    return face.mesh, face.pose.camera(spec.camera)
 
 
 def _measure(
