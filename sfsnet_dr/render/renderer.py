@@ -23,12 +23,14 @@ class Capabilities:
         bounces: surface points that light may meet after the first; 0 is direct light, -1 has no limit.
         gloss: the glossy lobes of a subject that has them.
         noisy: whether the image depends on samples and seed.
+        order: highest SH band of the light that counts, as in a shading model; None for all of the light.
     """
 
     visibility: bool
     bounces: int = 0
     gloss: bool = False
     noisy: bool = False
+    order: int | None = None
 
 
 @dataclass(frozen=True)
