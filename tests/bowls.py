@@ -7,36 +7,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sfsnet_dr.scene.mesh import Colour, Mesh, sphere
+from sfsnet_dr.scene.mesh import Mesh, sphere
+from sfsnet_dr.scene.shapes import bowl, joined
 
 Array = NDArray[np.float64]
 
 #: Unit vectors toward directional lights, none of them on an axis.
 DIRECTIONS = np.array([[0.6, 0.0, 0.8], [-0.48, 0.6, 0.64], [0.0, -0.28, 0.96]])
-
-
-def bowl(albedo: Colour = (0.5, 0.5, 0.5), rings: int = 64) -> Mesh:
-    """The inside of the rear half of a sphere about the origin, open to the viewer; rings / 4 is whole."""
-    ball = sphere(albedo=albedo, rings=rings)
-    behind = ball.vertices[ball.faces][..., 2].max(axis=1) < 1e-9
-    faces = np.ascontiguousarray(ball.faces[behind][:, ::-1])
-    return replace(ball, faces=faces, normals=-ball.normals)
-
-
-def joined(*meshes: Mesh) -> Mesh:
-    """Several surfaces as one."""
-    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
-    mixes = [m.roughness_mix if m.roughness_mix is not None else np.zeros(len(m.vertices)) for m in meshes]
-    return Mesh(
-        vertices=np.concatenate([mesh.vertices for mesh in meshes]),
-        faces=np.concatenate([mesh.faces + int(k) for mesh, k in zip(meshes, starts, strict=True)]).astype(
-            np.uint32
-        ),
-        albedo=np.concatenate([mesh.albedo for mesh in meshes]),
-        regions=np.concatenate([mesh.regions for mesh in meshes]),
-        normals=np.concatenate([mesh.normals for mesh in meshes]),
-        roughness_mix=np.concatenate(mixes),
-    )
 
 
 def bowl_and_ball(shift: tuple[float, float, float] = (0.25, 0.1, -0.25)) -> Mesh:

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from bowls import DIRECTIONS, bowl, bowl_and_ball
+from bowls import DIRECTIONS, bowl_and_ball
 from numpy.typing import NDArray
 
 from sfsnet_dr.base import runtime
@@ -16,6 +16,7 @@ from sfsnet_dr.render.capture import CaptureOptions, capture
 from sfsnet_dr.scene.jit import dr
 from sfsnet_dr.scene.mesh import NO_REGION, Region, sphere
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
+from sfsnet_dr.scene.shapes import bowl
 from sfsnet_dr.scene.spec import CameraSpec
 
 Array = NDArray[np.floating]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import configparser
+import os
 import re
 import shutil
 import subprocess
@@ -36,7 +37,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> zipfile.ZipFile:
 
 
 def test_every_source_file_is_in_the_wheel_and_nothing_else(wheel: zipfile.ZipFile) -> None:
-    packed = {name for name in wheel.namelist() if ".dist-info/" not in name}
+    packed = {name for name in wheel.namelist() if ".dist-info/" not in name and ".data/" not in name}
     ours = {
         path.relative_to(ROOT).as_posix()
         for path in (ROOT / "sfsnet_dr").rglob("*")
@@ -44,6 +45,28 @@ def test_every_source_file_is_in_the_wheel_and_nothing_else(wheel: zipfile.ZipFi
     }
     assert packed == ours
     assert "sfsnet_dr/report/templates/page.html" in packed
+
+
+@pytest.mark.parametrize("how", ["--prefix", "--target"])
+def test_the_wheel_brings_the_validation_scenes_and_finds_them_once_installed(
+    wheel: zipfile.ZipFile, tmp_path: Path, how: str
+) -> None:
+    packed = {Path(name).name for name in wheel.namelist() if "/scenes/validation/" in name}
+    assert packed == {path.name for path in (ROOT / "scenes" / "validation").iterdir()}
+    assert wheel.filename is not None
+    site = tmp_path / "site"
+    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--ignore-installed"]
+    subprocess.run([*pip, how, str(site), wheel.filename], check=True, capture_output=True)
+    [package] = site.rglob("sfsnet_dr/__init__.py")
+    code = "from sfsnet_dr.scene.validation_scenes import find_scene; print(find_scene('bowl'))"
+    environment = os.environ | {"PYTHONPATH": str(package.parents[1])}
+    found = subprocess.run(
+        [sys.executable, "-P", "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True
+    )
+    assert found.returncode == 0, found.stderr
+    path = Path(found.stdout.strip())
+    assert path.is_relative_to(site)
+    assert path.is_file()
 
 
 def test_the_wheel_has_the_command_and_the_licences(wheel: zipfile.ZipFile) -> None:

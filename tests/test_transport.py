@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bowls import bowl, bowl_and_ball, joined
+from bowls import bowl_and_ball
 from numpy.typing import NDArray
 
 from sfsnet_dr.render.capture import CaptureOptions, capture
 from sfsnet_dr.scene.jit import mi, upload
 from sfsnet_dr.scene.mesh import sphere
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene, camera_rays
+from sfsnet_dr.scene.shapes import bowl, joined
 from sfsnet_dr.scene.spec import CameraSpec
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ from sfsnet_dr.commands.result import Json, Out, Result, command_line, of_record
 class Validate:
     """Measure the order-2 spherical-harmonic renderer against the path tracer: error and time of a scene.
 
-    Example: sfsnet-dr validate scenes/sphere.toml --out out/validate
+    Example: sfsnet-dr validate scenes/validation/sphere.toml --out out/validate
     """
 
     scene: Positional[Annotated[Path, arg(metavar="SCENE", help="Scene (TOML) of the folder scenes/.")]]

@@ -7,7 +7,7 @@ import numpy.typing as npt
 from scipy import sparse
 
 from sfsnet_dr.scene import anny_head, subdivision
-from sfsnet_dr.scene.expressions import expression_weights, gaze_weights
+from sfsnet_dr.scene.expressions import gaze_weights, head_expression
 from sfsnet_dr.scene.face_model import (
     EYE_SURFACE,
     HeadShape,
@@ -72,7 +72,7 @@ class AnnyFace:
         model, rng = self._head, streams(Stream.SHAPE)
         macro = anny_head.macro_weights(model.macro_names, sample_phenotype(person, rng))
         local = _paired(model.local_names, rng, head.identity)
-        actions = expression_weights(model.action_names, streams(Stream.EXPRESSION), head.expression)
+        actions = head_expression(model.action_names, streams(Stream.EXPRESSION), head)
         actions = np.minimum(
             actions + gaze_weights(model.action_names, streams(Stream.GAZE), _LIDS_AT_REST), 1.0
         )

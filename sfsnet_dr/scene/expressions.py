@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from sfsnet_dr.scene.spec import HeadSpec
+
 Array = npt.NDArray[np.float64]
 Units = dict[str, float]
 
@@ -36,6 +38,18 @@ _ROWS = (
 
 #: Standard deviation and limit of the gaze, as part of the full turn of a unit (25 to 30 degrees).
 _GAZE_SPREAD, _GAZE_LIMIT = 0.22, 0.5
+
+
+#: An open smile; as in ``_MOUTH``.
+_SMILE: Units = _MOUTH[1]
+
+
+def head_expression(names: tuple[str, ...], rng: np.random.Generator, head: HeadSpec) -> Array:
+    """Weights (len(names),) in [0, 1] of the expression that a scene asks for: its smile, or a random one."""
+    if head.smile is None:
+        return expression_weights(names, rng, head.expression)
+    both = {unit: head.smile * greatest for unit, greatest in _SMILE.items()}
+    return np.asarray(sum(_spread(names, unit, value, value) for unit, value in both.items()))
 
 
 def expression_weights(names: tuple[str, ...], rng: np.random.Generator, probability: float) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -51,6 +51,8 @@ def sample_face(seed: int, spec: SceneSpec) -> Face:
     model, streams = load_model(spec), streams_of(seed)
     person = Person.sample(streams(Stream.PERSON))
     shape = model.shape(person, streams, spec.head)
+    if spec.head.tone is not None:
+        person = replace(person, tone=spec.head.tone)
     albedo = _given_albedo(seed, spec, model)
     appearance = None
     if albedo is None:

@@ -117,6 +117,8 @@ def load_model(spec: SceneSpec) -> FaceModel:
         return _load_ict(path, 1 if spec.head.subdivision is None else spec.head.subdivision)
     if spec.head.subdivision:
         raise BadInput(f"{spec.name}: head.subdivision {spec.head.subdivision} found, 'basel' allows 0 only")
+    if spec.head.smile is not None:
+        raise BadInput(f"{spec.name}: head.smile found, the expressions of 'basel' have no names")
     return _load_basel(path)
 
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from scipy import sparse
 
 from sfsnet_dr.scene import subdivision
-from sfsnet_dr.scene.expressions import expression_weights, gaze_weights
+from sfsnet_dr.scene.expressions import gaze_weights, head_expression
 from sfsnet_dr.scene.face_model import (
     EYE_CENTRES,
     EYE_SURFACE,
@@ -82,7 +82,7 @@ class IctFace:
     def shape(self, person: Person, streams: Streams, head: HeadSpec) -> HeadShape:
         """Random identity, expression and gaze. FaceKit's modes know no sex and age."""
         modes = _coefficients(streams(Stream.SHAPE), len(self._identity), _SPREAD * head.identity)
-        units = expression_weights(self._units, streams(Stream.EXPRESSION), head.expression)
+        units = head_expression(self._units, streams(Stream.EXPRESSION), head)
         units += gaze_weights(self._units, streams(Stream.GAZE), _LIDS_AT_REST)
         units = np.minimum(units, 1.0) + self._closed_lips(modes)
         moved = np.tensordot(modes, self._identity, 1) + np.tensordot(

@@ -42,6 +42,9 @@ class HeadSpec:
         identity: how far identities lie from the mean: standard deviation of Anny's local shape changes, of
             their full range of 1; three times that for the unit normal coefficients of the other models.
         expression: probability of any expression.
+        smile: strength, 0 to 1, of an open smile in place of random expressions; ``"basel"`` has none.
+        tone: individual typology angle of the skin, degrees, -52 (dark) to 60 (light), in place of the
+            person's; nothing else about the person changes but what is painted on.
         yaw, pitch, roll: greatest angles in degrees; small ones of yaw and pitch are more frequent.
         scale_jitter: greatest relative change of the canonical scale.
         shift_jitter: greatest shift in pixels of the canonical frame.
@@ -51,6 +54,8 @@ class HeadSpec:
     subdivision: int | None = None
     identity: float = 0.3
     expression: float = 0.6
+    smile: float | None = None
+    tone: float | None = None
     yaw: float = 20.0
     pitch: float = 10.0
     roll: float = 5.0
@@ -86,7 +91,7 @@ class SceneSpec:
 
     Attributes:
         name: a short word, used in file names and records.
-        shape: one of ``FACE_SHAPES`` (a seeded head), ``"sphere"`` or ``"plane"``.
+        shape: one of ``FACE_SHAPES`` (a seeded head) or a name of ``scene.shapes.SHAPES``.
         albedo: one linear colour for the whole surface; left out, a head gets a seeded skin.
         model_path: where the face model lies. ``"ict"``: the compact ``.npz``, or a clone of ICT FaceKit
             or its ``FaceXModel`` folder; ``"basel"``: the ``.h5`` file. ``"anny"`` comes with its package.
@@ -96,7 +101,7 @@ class SceneSpec:
     """
 
     name: str
-    shape: Literal["anny", "ict", "basel", "sphere", "plane"]
+    shape: Literal["anny", "ict", "basel", "sphere", "plane", "bowl", "two_spheres", "relief"]
     albedo: tuple[float, float, float] | None = None
     model_path: str | None = None
     camera: CameraSpec = CameraSpec()
@@ -124,6 +129,8 @@ def load_scene(path: Path | str) -> SceneSpec:
         "head.subdivision": (spec.head.subdivision or 0, 0, 3),
         "head.identity": (spec.head.identity, 0.0, 1.0),
         "head.expression": (spec.head.expression, 0.0, 1.0),
+        "head.smile": (spec.head.smile or 0.0, 0.0, 1.0),
+        "head.tone": (spec.head.tone or 0.0, -52.0, 60.0),
         "head.yaw": (spec.head.yaw, 0.0, 60.0),
         "head.pitch": (spec.head.pitch, 0.0, 30.0),
         "head.roll": (spec.head.roll, 0.0, 45.0),

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sfsnet_dr.scene import mesh as meshes
 from sfsnet_dr.scene.face import sample_face
 from sfsnet_dr.scene.mesh import Mesh
+from sfsnet_dr.scene.shapes import SHAPES
 from sfsnet_dr.scene.spec import CameraSpec, SceneSpec
 
 
@@ -29,10 +29,7 @@ class Subject:
 
 def build_subject(spec: SceneSpec, seed: int = 0) -> Subject:
     """The surface that a spec describes, and the camera that looks at it."""
-    albedo = spec.albedo or (0.5, 0.5, 0.5)
-    if spec.shape == "sphere":
-        return Subject(spec, seed, meshes.sphere(albedo=albedo), spec.camera)
-    if spec.shape == "plane":
-        return Subject(spec, seed, meshes.plane(albedo=albedo), spec.camera)
+    if spec.shape in SHAPES:
+        return Subject(spec, seed, SHAPES[spec.shape](spec.albedo or (0.5, 0.5, 0.5)), spec.camera)
     face = sample_face(seed, spec)
     return Subject(spec, seed, face.mesh, face.pose.camera(spec.camera))

@@ -92,7 +92,9 @@ def run_demo(out: Path | str, root: Path | str = ".", *, console: Console | None
     doctor = _doctor(screen)
     spec = load_scene(checkout / "scenes" / "faces.toml")
     rendered, render_seconds = _render(spec, folder / "faces", screen)
-    ladders = tuple(_validate(checkout / "scenes" / f"{name}.toml", screen) for name in ("sphere", "head"))
+    ladders = tuple(
+        _validate(checkout / "scenes" / "validation" / f"{name}.toml", screen) for name in ("sphere", "head")
+    )
     screen.rule("5/6  Train SfSNet for minutes", align="left")
     training = train(
         read_recipe(checkout / "training" / "recipes" / "smoke.toml"),
@@ -153,8 +155,8 @@ def _checkout(root: Path | str) -> Path:
     folder = Path(root)
     for part in (
         "scenes/faces.toml",
-        "scenes/sphere.toml",
-        "scenes/head.toml",
+        "scenes/validation/sphere.toml",
+        "scenes/validation/head.toml",
         "training/recipes/smoke.toml",
     ):
         if not (folder / part).is_file():
