@@ -11,6 +11,10 @@ class BadInput(Exception):
     """The caller's input is wrong. Commands print its one line and exit with code 2."""
 
 
+class NotInstalled(BadInput):
+    """Something optional is missing; the line ends in the command that installs it."""
+
+
 class WorkFailed(Exception):
     """The work itself failed on good input. Commands print its one line and exit with code 1."""
 
