@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 
 import pytest
@@ -175,3 +177,24 @@ def test_a_tensor_elsewhere_is_refused() -> None:
     inputs = [t.detach().to("meta") for t in _inputs()]
     with pytest.raises(BadInput, match="tensor on meta found, cpu expected"):
         f_render(*inputs)
+
+
+def test_a_forked_process_is_refused() -> None:
+    """In a process of its own with a time limit: without the refusal a forked child waits for ever."""
+    code = """
+import os, signal, torch
+from sfsnet_dr.render.shading_drjit import shading
+normal, light = torch.randn(1, 3, 256, 256, requires_grad=True), torch.randn(1, 27)
+before = shading(normal, light)
+for work in (lambda: shading(normal, light), before.sum().backward):
+    if os.fork() == 0:
+        signal.alarm(20)
+        try:
+            work()
+        except Exception as error:
+            print(error, flush=True)
+        os._exit(0)
+    os.wait()
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert done.stdout.count("process forked after Dr.Jit had started") == 2, done

@@ -129,6 +129,16 @@ def test_short_normals_agree(form: str, length: float) -> None:
 
 
 @pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("length", [1e4, 1e15, 1e25])
+def test_long_normals_agree(form: str, length: float) -> None:
+    """The square of the last two, or its derivative, has no float32."""
+    function, _, tolerance = FORMS[form]
+    normal, albedo, light = _scene(2, 2)
+    expected = function(normal, albedo, light)
+    np.testing.assert_allclose(function(length * normal, albedo, light), expected, atol=tolerance)
+
+
+@pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("single", [(0,), (1,), (2,), (0, 1), (1, 2), (0, 2)])
 def test_a_batch_of_one_broadcasts(form: str, single: tuple[int, ...]) -> None:
     scene = _scene(3, 2)
@@ -166,3 +176,12 @@ def test_dtypes(module: Any) -> None:
         assert image.dtype == result
     # Worst of 20 scenes 3e-15.
     np.testing.assert_allclose(image.numpy(), shading_numpy.f_render(*scene), rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("module", [shading_numpy, shading_torch, shading_drjit])
+def test_more_numbers_than_an_index_reaches_are_refused(module: Any) -> None:
+    """Views that cost no memory; 1.5 times 2^31 numbers."""
+    view = torch.ones(1, 3, 1, 1).expand(1, 3, 2**15, 2**15)
+    taken = view.numpy() if module is shading_numpy else view
+    with pytest.raises(BadInput, match="split the batch"):
+        module.f_render(taken, taken, np.ones((1, 27)) if module is shading_numpy else torch.ones(1, 27))

@@ -78,6 +78,7 @@ class LlvmChoice:
 
 
 _chosen: LlvmChoice | None = None
+_started_in: int | None = None
 
 
 def find_llvm() -> LlvmChoice:
@@ -107,7 +108,7 @@ def start(variant: str = DEFAULT_VARIANT) -> None:
         BadInput: if no good libLLVM is found, or the variant does not exist.
         WorkFailed: if Dr.Jit cannot start its backend.
     """
-    global _chosen
+    global _chosen, _started_in
     needs_llvm = variant.startswith("llvm")
     if needs_llvm and _chosen is None:
         choice = find_llvm()
@@ -125,6 +126,23 @@ def start(variant: str = DEFAULT_VARIANT) -> None:
         raise WorkFailed(f"variant {variant!r} did not start: {_last_line(str(error))}") from error
     if needs_llvm:
         _check_loaded_version()
+        _started_in = os.getpid()
+
+
+def check_process() -> None:
+    """Refuse to compute in a child that was forked after ``start``.
+
+    Dr.Jit's threads stay behind in the parent. A child would work on small arrays and wait for ever on
+    others.
+
+    Raises:
+        BadInput: in such a child.
+    """
+    if _started_in not in (None, os.getpid()):
+        raise BadInput(
+            "process forked after Dr.Jit had started, whose threads did not come along; start workers by "
+            "'spawn' (multiprocessing.get_context('spawn')), or use the torch form there"
+        )
 
 
 def loaded_llvm_version() -> str:

@@ -6,6 +6,7 @@
 * shares memory with its inputs unseen by torch, so that a tensor changed in place between the forward and
   the backward pass gives a wrong gradient without a word;
 * keeps the shape of its result in a global variable, so that two threads that call it at once fail;
+* waits for ever in a process that was forked after Dr.Jit had started;
 * answers ``create_graph=True`` with gradients that carry no graph, so that a second derivative silently
   counts as zero.
 
@@ -21,6 +22,7 @@ from typing import Any, cast
 import torch
 from torch import Tensor
 
+from sfsnet_dr.base import runtime
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.scene.jit import dr
 
@@ -39,6 +41,7 @@ class _FirstOrder(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
+        runtime.check_process()
         if torch.is_grad_enabled():
             raise RuntimeError(
                 "the Dr.Jit renderer has first-order derivatives only, create_graph=True was asked of it; "
@@ -58,12 +61,13 @@ def from_torch(kernel: Callable[..., Any]) -> Callable[..., Tensor]:
         The same function on torch CPU tensors of one dtype, float32 or float64. It may be called, and
         differentiated, from any thread. Only inputs that require gradients get them.
 
-        Raises BadInput for a tensor that is not on the CPU, and RuntimeError in the backward pass if
-        second derivatives are asked for or an input was changed in place.
+        Raises BadInput for a tensor that is not on the CPU or in a forked process, and RuntimeError in the
+        backward pass if second derivatives are asked for or an input was changed in place.
     """
     wrapped = dr.wrap(source="torch", target="drjit")(kernel)
 
     def call(*inputs: Tensor) -> Tensor:
+        runtime.check_process()
         plain = [_plain(x) for x in inputs]
         with _LOCK:
             output = wrapped(*plain)

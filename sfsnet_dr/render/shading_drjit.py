@@ -70,7 +70,7 @@ def shading_planes(normal: list[Any], light: list[Any]) -> list[Any]:
     Returns:
         3 planes: red, green, blue.
     """
-    x, y, z = normal
+    x, y, z = _shortened(*normal)
     inverse_length = 1 / dr.sqrt(dr.maximum(x * x + y * y + z * z, NORMAL_EPSILON))
     order = math.isqrt(len(light) // COLOURS) - 1
     basis = sh_polynomials(x * inverse_length, y * inverse_length, z * inverse_length, order)
@@ -93,6 +93,13 @@ def _render_kernel(normal: Any, albedo: Any, light: Any) -> Any:
     batch, channels, height, width = normal.shape
     values = render_planes(planes(normal), planes(albedo), spread(light, height * width))
     return from_planes(values, (batch, channels, height, width))
+
+
+def _shortened(x: Any, y: Any, z: Any) -> tuple[Any, Any, Any]:
+    """Long vectors shortened, the others as they are; see ``shading_torch.unit``."""
+    longest = dr.maximum(dr.maximum(dr.abs(x), dr.abs(y)), dr.abs(z))
+    factor = 1 / dr.maximum(dr.detach(longest), 1)
+    return x * factor, y * factor, z * factor
 
 
 def _dot(basis: list[Any], coefficients: list[Any]) -> Any:

@@ -9,6 +9,9 @@ from sfsnet_dr.base.checks import BadInput, check_shape
 
 COLOURS: Final = 3
 
+#: Numbers that an image batch may hold in one call: indices of 32 bits reach no further.
+MAX_ELEMENTS: Final = 2**31 - 1
+
 
 class RenderSizes(NamedTuple):
     """What the shapes of one call to a shading model say."""
@@ -62,4 +65,9 @@ def render_sizes(normal: Any, light: Any, albedo: Any | None = None, *, max_orde
         if size not in (1, batch):
             shape = tuple({"normal": normal, "light": light, "albedo": albedo}[name].shape)
             raise BadInput(f"{name}: shape {shape} found, a batch of {batch} or of 1 expected")
+    if COLOURS * batch * height * width > MAX_ELEMENTS:
+        raise BadInput(
+            f"normal: {batch} images of {height} x {width} found, at most {MAX_ELEMENTS} numbers "
+            "(3 a pixel) are allowed in one call; split the batch"
+        )
     return RenderSizes(batch, height, width, order)

@@ -22,8 +22,9 @@ MAX_ORDER: Final = 8
 
 
 def unit(vectors: npt.ArrayLike) -> Array:
-    """Normalise vectors along their last axis: n / sqrt(max(|n|^2, 1e-12)), shape (..., 3)."""
+    """Normalise vectors along their last axis: n / sqrt(max(|n|^2, 1e-12)), shape (..., 3), any length."""
     v = np.asarray(vectors, dtype=np.float64)
+    v = v / np.maximum(np.abs(v).max(axis=-1, keepdims=True), 1)  # else |n|^2 overflows where n is long
     squared = np.sum(v * v, axis=-1, keepdims=True)
     return np.asarray(v / np.sqrt(np.maximum(squared, NORMAL_EPSILON)), dtype=np.float64)
 
@@ -43,8 +44,8 @@ def shading(normal: npt.ArrayLike, light: npt.ArrayLike) -> Array:
     Raises:
         BadInput: naming the argument whose shape does not fit.
     """
+    sizes = render_sizes(np.asarray(normal), np.asarray(light), max_order=MAX_ORDER)
     n, flat = np.asarray(normal, dtype=np.float64), np.asarray(light, dtype=np.float64)
-    sizes = render_sizes(n, flat, max_order=MAX_ORDER)
     basis = sh_basis(unit(np.moveaxis(n, 1, -1)), sizes.order)
     coefficients = flat.reshape(flat.shape[0], COLOURS, -1)
     return np.asarray(np.einsum("bhwk,bck->bchw", basis, coefficients), dtype=np.float64)
@@ -64,6 +65,5 @@ def f_render(normal: npt.ArrayLike, albedo: npt.ArrayLike, light: npt.ArrayLike)
     Raises:
         BadInput: naming the argument whose shape does not fit.
     """
-    colour = np.asarray(albedo, dtype=np.float64)
-    render_sizes(np.asarray(normal), np.asarray(light), colour, max_order=MAX_ORDER)
-    return colour * shading(normal, light)
+    render_sizes(np.asarray(normal), np.asarray(light), np.asarray(albedo), max_order=MAX_ORDER)
+    return np.asarray(albedo, dtype=np.float64) * shading(normal, light)

@@ -21,7 +21,12 @@ MAX_ORDER: Final = MAX_POLYNOMIAL_ORDER
 
 
 def unit(normal: Tensor) -> Tensor:
-    """Normalise (B, 3, H, W) vectors: n / sqrt(max(|n|^2, 1e-12)), with a finite gradient at n = 0."""
+    """Normalise (B, 3, H, W) vectors: n / sqrt(max(|n|^2, 1e-12)), with a finite gradient at n = 0.
+
+    Long vectors are shortened first: |n|^2 overflows in float32 from |n| = 1.8e19 on, and the result would
+    be 0 without a word. The direction does not depend on the divisor, which therefore needs no gradient.
+    """
+    normal = normal / normal.detach().abs().amax(dim=1, keepdim=True).clamp_min(1)
     squared = (normal * normal).sum(dim=1, keepdim=True)
     return normal / torch.sqrt(squared.clamp_min(NORMAL_EPSILON))
 
