@@ -8,19 +8,15 @@ neighbourhood, whereas noise does not cluster.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from sfsnet_dr.base.checks import BadInput, check_shape
+from sfsnet_dr.render.clusters import largest_cluster, noise_clusters
 
 Array = npt.NDArray[np.float64]
-
-#: Two-sided p below which a pixel belongs to a cluster. Loose, because clusters are judged by their size: a
-#: fifth of the pixels of noise exceed it with either sign, too few to join up, but more than half of those
-#: that are off by one standard deviation, and they do.
-CLUSTER_P: Final = 0.4
 
 
 @dataclass(frozen=True)
@@ -93,8 +89,9 @@ def z_test(
     half = level / 2
     p_limit = 1 - (1 - half) ** (1 / p.size)
     colours = z.shape[-1]
-    limit = _noise_cluster_limit(chosen, 1 - (1 - half) ** (1 / colours), simulations, seed)
-    largest = max(_largest_cluster(z[..., c], chosen) for c in range(colours))
+    noise = noise_clusters(chosen, simulations, seed)
+    limit = int(np.quantile(noise, (1 - half) ** (1 / colours), method="higher"))
+    largest = max(largest_cluster(z[..., c], chosen) for c in range(colours))
     return ZTest(z, float(p.min()), p_limit, int((p < p_limit).sum()), largest, limit)
 
 
@@ -108,23 +105,6 @@ def _two_sided_p(z: Array) -> Array:
     from scipy.special import erfc
 
     return np.asarray(erfc(np.abs(z) / np.sqrt(2)), dtype=np.float64)
-
-
-def _largest_cluster(z: Array, chosen: npt.NDArray[np.bool_]) -> int:
-    """Size of the largest 4-connected group of pixels of one sign with p < CLUSTER_P, over (H, W)."""
-    from scipy.ndimage import label
-    from scipy.special import ndtri
-
-    limit = ndtri(1 - CLUSTER_P / 2)
-    sizes = [np.bincount(label(chosen & (sign * z > limit))[0].ravel())[1:] for sign in (1, -1)]
-    return int(max((size.max() for size in sizes if size.size), default=0))
-
-
-def _noise_cluster_limit(chosen: npt.NDArray[np.bool_], level: float, simulations: int, seed: int) -> int:
-    """The (1 - level) quantile of the largest cluster in white noise on the mask, one colour, rounded up."""
-    generator = np.random.default_rng(seed)
-    sizes = [_largest_cluster(generator.standard_normal(chosen.shape), chosen) for _ in range(simulations)]
-    return int(np.quantile(sizes, 1 - level, method="higher"))
 
 
 def _checked(
