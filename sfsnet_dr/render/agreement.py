@@ -134,12 +134,14 @@ def agree(image: Estimate, reference: Estimate, *, allowance: npt.ArrayLike | fl
     check_shape("reference", reference.mean, "H W 3", **sizes)
     raw = image.mean - reference.mean
     allowed = np.broadcast_to(np.asarray(allowance, dtype=np.float64), raw.shape)
-    z = _pixel_scores(image, reference, _shrunk(raw, allowed))
-    scales = [_scale("pixel", z), _cluster_scale(z, image.variance + reference.variance > 0)]
+    steady, freedom = _moderated(image, reference)
+    total = steady + reference.variance
+    z = _as_z(_shrunk(raw, allowed), total, np.full(total.shape, min(freedom, reference.freedom)))
+    scales = [_scale("pixel", z), _cluster_scale(z, total > 0)]
     longest = max(raw.shape[:2])
     for block in (*(b for b in BLOCKS if b < longest), longest):
         name = "picture" if block == longest else f"block of {block}"
-        scales.append(_scale(name, _block_scores(image, reference, raw, allowed, block)))
+        scales.append(_scale(name, _block_scores(image, steady, reference, raw, allowed, block)))
     smallest = min(scale.p for scale in scales)
     return Agreement(z, tuple(scales), sidak(smallest, len(scales)))
 
@@ -158,25 +160,27 @@ def two_sided_p(z: Array) -> Array:
     return np.asarray(erfc(np.abs(z) / np.sqrt(2)), dtype=np.float64)
 
 
-def _pixel_scores(image: Estimate, reference: Estimate, difference: Array) -> Array:
-    """Scores (H, W, 3) with the image's variance moderated by the reference's, or by its neighbours'.
+def _moderated(image: Estimate, reference: Estimate) -> tuple[Array, float]:
+    """The image's variances moderated by the reference's, or by their neighbours', and their freedom.
 
-    The smaller degrees of freedom of the two are taken: Welch's are themselves estimated, and so far out in
-    the tail an estimate that is too good fails.
+    Scores then take the smaller freedom of image and reference: Welch's is itself estimated, and so far out
+    in the tail an estimate that is too good fails.
     """
     from scipy.ndimage import uniform_filter
 
     noisy = bool(reference.variance.any())
     expected = reference.variance if noisy else uniform_filter(image.variance, size=(3, 3, 1))
-    variance, freedom = moderated(image.variance, image.freedom, expected)
-    total = variance + reference.variance
-    return _as_z(difference, total, np.full(total.shape, min(freedom, reference.freedom)))
+    return moderated(image.variance, image.freedom, expected)
 
 
-def _block_scores(image: Estimate, reference: Estimate, raw: Array, allowed: Array, block: int) -> Array:
+def _block_scores(
+    image: Estimate, steady: Array, reference: Estimate, raw: Array, allowed: Array, block: int
+) -> Array:
     """Scores of sums over square blocks, (rows, columns, 3); blocks at the edge may be smaller."""
     difference = _shrunk(_sums(raw, block), _sums(allowed, block))
-    total = _sums(image.variance, block) + _sums(reference.variance, block)
+    # Blocks at an edge may hold few noisy pixels, and no spread at all by luck.
+    own = np.maximum(_sums(image.variance, block), _sums(steady, block))
+    total = own + _sums(reference.variance, block)
     # Satterthwaite: squares of variances, each over its degrees of freedom, add up.
     fourth = _sums(image.variance**2, block) / image.freedom
     fourth = fourth + _sums(reference.variance**2, block) / reference.freedom

@@ -31,6 +31,8 @@ _RADIUS: Final = 0.9
 _FACETS: Final = 3e-4
 #: Radians of a facet. Where light falls flatter, shadow rays of one facet meet the next.
 _FACET_ANGLE: Final = np.pi / 96
+#: Pixels by which an edge may lie elsewhere than the formula has it, as few samples find it.
+_EDGE: Final = 0.01
 _ROUNDING: Final = 2e-5  # relative; a path's product in float32
 _INSIDE, _AT_EDGE = 4, 32  # samples along a pixel's edge, in pixels that are covered wholly and partly
 
@@ -41,7 +43,8 @@ class ClosedForm:
 
     Attributes:
         image: (H, W, 3).
-        allowance: (H, W, 3), at least 0. Causes: the mesh's facets; float32; in SH models that shade a
+        allowance: (H, W, 3), at least 0. Causes: the mesh's facets; edges that are
+            known to .01 pixel; float32; in SH models that shade a
             pixel's mean normal, the difference of that to the mean shading; for a map under all orders,
             what may lie above the order that is computed, by Cauchy and Schwarz.
     """
@@ -75,7 +78,8 @@ def closed_form(spec: SceneSpec, light: SceneLight, order: int | None, *, deferr
     allowance = _ROUNDING * np.abs(image) + 1e-7
     if spec.shape == "sphere":
         smaller, _, _ = _pixels(spec, shade, _RADIUS * (1 - _FACETS))
-        allowance = allowance + 2 * np.abs(image - smaller)
+        partly = ((coverage > 0) & (coverage < 1))[..., None]
+        allowance = allowance + 2 * np.abs(image - smaller) + _EDGE * partly * np.abs(shade(mean_normal))
         if order is None:
             allowance = allowance + _at_terminator(light, mean_normal)
     if deferred:
@@ -88,10 +92,10 @@ class _Shade:
 
     def __init__(self, light: SceneLight, order: int | None) -> None:
         self.directional, self.order = light.directional, order
-        self.radiance = self.beyond = None
+        self.radiance: Radiance | None = None
         if light.environment is not None:
             self.radiance = project_equirect(light.environment, MAX_ORDER if order is None else order)
-        self.beyond = _beyond(light, self.radiance) if order is None else np.zeros(3)
+        self.beyond: Array = _beyond(light, self.radiance) if order is None else np.zeros(3)
 
     def __call__(self, normals: Array) -> Array:
         total = np.zeros(normals.shape)
