@@ -22,7 +22,7 @@ class Capabilities:
         visibility: cast shadows.
         bounces: surface points that light may meet after the first; 0 is direct light, -1 has no limit.
         gloss: the glossy lobes of a subject that has them.
-        noisy: whether the image depends on samples and seed.
+        noisy: whether the image is made of as many random samples as the budget allows.
         order: highest SH band of the light that counts, as in a shading model; None for all of the light.
     """
 
@@ -39,7 +39,8 @@ class Budget:
 
     Attributes:
         samples: paths per pixel.
-        seed: two seeds give independent images, the same seed the same image.
+        seed: two seeds give independent images, the same seed the same image. Models that are not noisy may
+            yet place by it the rays that their maps are made with.
     """
 
     samples: int = 64

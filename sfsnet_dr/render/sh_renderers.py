@@ -42,12 +42,12 @@ class ShadingRenderer:
 
     def __init__(self, backend: Backend, order: int) -> None:
         self.name = f"{backend}-order{order}"
-        self.capabilities = Capabilities(visibility=False)
+        self.capabilities = Capabilities(visibility=False, order=order)
         self._form, self._order = _SHADING[backend], order
 
     def render(self, subject: Subject, light: SceneLight, budget: Budget) -> Image:
         """An image (H, W, 3): float64 by NumPy, else float32."""
-        maps = surface_maps(subject)
+        maps = surface_maps(subject, budget.seed)
         shading = radiance(light).truncate(self._order).to_shading().flat()[None]
         return np.moveaxis(self._form(maps.normal, maps.albedo, shading)[0], 0, -1)
 
@@ -63,13 +63,13 @@ class TransportRenderer:
 
     def __init__(self, backend: Literal["numpy", "drjit"], order: int, kind: Kind) -> None:
         self.name = f"{backend}-order{order}-{kind}"
-        self.capabilities = Capabilities(visibility=True, bounces=int(kind == "bounce"))
+        self.capabilities = Capabilities(visibility=True, bounces=int(kind == "bounce"), order=order)
         self._answers, self._weigh = _TRANSPORT[backend][kind], _WEIGH[backend]
         self._order = order
 
     def render(self, subject: Subject, light: SceneLight, budget: Budget) -> Image:
         """An image (H, W, 3): float64 by NumPy, float32 by Dr.Jit."""
-        return self._weigh(self._answers(subject), radiance(light).truncate(self._order).values)
+        return self._weigh(self._answers(subject, budget.seed), radiance(light).truncate(self._order).values)
 
 
 def _by_numpy(normal: Planes, albedo: Planes, shading: Array) -> Image:
@@ -121,11 +121,11 @@ _SHADING: Final[dict[str, Callable[[Planes, Planes, Array], Image]]] = {
     "torch": _by_torch,
     "drjit": _by_drjit,
 }
-_TRANSPORT: Final[dict[str, dict[str, Callable[[Subject], Any]]]] = {
+_TRANSPORT: Final[dict[str, dict[str, Callable[[Subject, int], Any]]]] = {
     "numpy": {"visibility": direct_transport, "bounce": bounced_transport},
     "drjit": {
-        "visibility": once(lambda subject: _Uploaded(direct_transport(subject))),
-        "bounce": once(lambda subject: _Uploaded(bounced_transport(subject))),
+        "visibility": once(lambda subject, seed: _Uploaded(direct_transport(subject, seed))),
+        "bounce": once(lambda subject, seed: _Uploaded(bounced_transport(subject, seed))),
     },
 }
 _WEIGH: Final[dict[str, Callable[[Any, Array], Image]]] = {

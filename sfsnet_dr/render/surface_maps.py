@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import wraps
-from typing import Final, TypeVar
+from typing import Concatenate, Final, ParamSpec, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -22,6 +22,7 @@ from sfsnet_dr.sh.coefficients import Radiance
 
 Planes = npt.NDArray[np.float32]
 K = TypeVar("K")
+P = ParamSpec("P")
 V = TypeVar("V")
 
 #: Least number of camera rays a pixel for the maps: a silhouette's coverage is then right to about 1 %.
@@ -29,8 +30,6 @@ MAP_RAYS: Final = 64
 
 #: Highest order of the transport; lower ones are its first coefficients.
 TRANSPORT_ORDER: Final = MAP_ORDER
-
-_SEED = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,37 +45,38 @@ class SurfaceMaps:
     albedo: Planes
 
 
-def once(make: Callable[[K], V]) -> Callable[[K], V]:
-    """Remember the result for as long as the argument lives."""
-    known: WeakKeyDictionary[K, V] = WeakKeyDictionary()
+def once(make: Callable[Concatenate[K, P], V]) -> Callable[Concatenate[K, P], V]:
+    """Remember results for as long as the first argument lives; the others have to be hashable."""
+    known: WeakKeyDictionary[K, dict[tuple[object, ...], V]] = WeakKeyDictionary()
 
     @wraps(make)
-    def remembered(key: K) -> V:
-        if key not in known:
-            known[key] = make(key)
-        return known[key]
+    def remembered(key: K, *more: P.args, **named: P.kwargs) -> V:
+        results, call = known.setdefault(key, {}), (*more, *sorted(named.items()))
+        if call not in results:
+            results[call] = make(key, *more, **named)
+        return results[call]
 
     return remembered
 
 
 @once
-def surface_maps(subject: Subject) -> SurfaceMaps:
+def surface_maps(subject: Subject, seed: int = 0) -> SurfaceMaps:
     """Normals and covered albedo; ``sampling.transport`` of the subject's scene says with how many rays."""
     rays = max(MAP_RAYS, subject.spec.sampling.transport)
-    seen = capture(SurfaceScene(subject.mesh, subject.camera), rays, _SEED, CaptureOptions(order=0))
+    seen = capture(SurfaceScene(subject.mesh, subject.camera), rays, seed, CaptureOptions(order=0))
     return SurfaceMaps(_planes(seen.normal), _planes(seen.albedo * seen.coverage[..., None]))
 
 
 @once
-def direct_transport(subject: Subject) -> Planes:
+def direct_transport(subject: Subject, seed: int = 0) -> Planes:
     """(25, H, W, 3) answer to the radiance basis lights of order 4, cast shadows included."""
-    return _transport(subject, bounces=0)
+    return _transport(subject, seed, bounces=0)
 
 
 @once
-def bounced_transport(subject: Subject) -> Planes:
+def bounced_transport(subject: Subject, seed: int = 0) -> Planes:
     """As ``direct_transport``, with light that met one further point of the surface."""
-    return _transport(subject, bounces=1)
+    return _transport(subject, seed, bounces=1)
 
 
 @once
@@ -85,11 +85,11 @@ def radiance(light: SceneLight) -> Radiance:
     return light.coefficients(TRANSPORT_ORDER)
 
 
-def _transport(subject: Subject, bounces: int) -> Planes:
+def _transport(subject: Subject, seed: int, bounces: int) -> Planes:
     sampling = subject.spec.sampling
     options = CaptureOptions(order=TRANSPORT_ORDER, bounces=bounces, paths=sampling.paths)
     scene = SurfaceScene(subject.mesh, subject.camera)
-    return capture(scene, sampling.transport, _SEED, options).transport
+    return capture(scene, sampling.transport, seed, options).transport
 
 
 def _planes(image: Planes) -> Planes:
