@@ -7,7 +7,11 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 OUT ?= out/demo
 
-.PHONY: demo test test-all lint format setup clean
+# Blender's Cycles, an independent path tracer to compare with: 370 MB, GPL, in an environment of its own.
+PYTHON_CYCLES ?= python3.11
+CYCLES := .venv-cycles
+
+.PHONY: demo test test-all lint format setup cycles clean
 
 demo: $(READY)
 	$(BIN)/sfsnet-dr demo --out $(OUT)
@@ -37,5 +41,18 @@ $(READY): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@touch $@
 
+cycles: $(CYCLES)/.ready
+
+$(CYCLES)/.ready: constraints-cycles.txt
+	@$(PYTHON_CYCLES) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' 2>/dev/null || { \
+	  echo "$(PYTHON_CYCLES) is `$(PYTHON_CYCLES) --version 2>/dev/null || echo missing`; bpy needs exactly" \
+	    "Python 3.11: make cycles PYTHON_CYCLES=/path/to/python3.11" >&2; exit 1; }
+	$(PYTHON_CYCLES) -m venv $(CYCLES)
+	$(CYCLES)/bin/python -m pip install --disable-pip-version-check -c constraints-cycles.txt bpy
+	@$(CYCLES)/bin/python -c 'import bpy' || { echo "bpy is installed but does not start; on Debian it needs:" \
+	    "apt install libgl1 libsm6 libice6 libx11-6 libxext6 libxfixes3 libxi6 libxrender1 libxkbcommon0" >&2; \
+	    exit 1; }
+	@touch $@
+
 clean:
-	rm -rf $(VENV) out build dist *.egg-info
+	rm -rf $(VENV) $(CYCLES) out build dist *.egg-info

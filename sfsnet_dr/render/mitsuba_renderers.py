@@ -1,4 +1,4 @@
-"""Mitsuba's path tracer in this process (``llvm_ad_rgb``) as a renderer of subjects."""
+"""Mitsuba's path tracer in this process, in the variant of everything here (``llvm_ad_rgb``)."""
 
 from __future__ import annotations
 

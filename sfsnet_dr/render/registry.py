@@ -60,8 +60,9 @@ def find_renderer(name: str) -> Renderer:
 
 
 def _built_in() -> dict[str, tuple[Any, ...]]:
-    """Module, class and arguments of our own renderers."""
+    """Module, class or function, and arguments of our own renderers."""
     sh, path = "sfsnet_dr.render.sh_renderers", "sfsnet_dr.render.mitsuba_renderers"
+    others = "sfsnet_dr.render.other_tracers"
     shading = {
         f"{backend}-order{order}": (sh, "ShadingRenderer", backend, order)
         for backend in ("numpy", "torch", "drjit")
@@ -77,7 +78,12 @@ def _built_in() -> dict[str, tuple[Any, ...]]:
         f"mitsuba-llvm-{word}": (path, "MitsubaRenderer", f"mitsuba-llvm-{word}", bounces)
         for word, bounces in BOUNCES.items()
     }
-    return {**shading, **transport, **mitsuba}
+    remote = {
+        f"{tracer}-{word}": (others, "make", tracer, word, bounces)
+        for tracer in ("mitsuba-scalar", "mitsuba-spectral", "cycles")
+        for word, bounces in BOUNCES.items()
+    }
+    return {**shading, **transport, **mitsuba, **remote}
 
 
 def _make(module: str, name: str, *arguments: Any) -> Renderer:

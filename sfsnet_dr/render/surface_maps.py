@@ -50,7 +50,7 @@ def once(make: Callable[Concatenate[K, P], V]) -> Callable[Concatenate[K, P], V]
     known: WeakKeyDictionary[K, dict[tuple[object, ...], V]] = WeakKeyDictionary()
 
     @wraps(make)
-    def remembered(key: K, *more: P.args, **named: P.kwargs) -> V:
+    def remembered(key: K, /, *more: P.args, **named: P.kwargs) -> V:
         results, call = known.setdefault(key, {}), (*more, *sorted(named.items()))
         if call not in results:
             results[call] = make(key, *more, **named)

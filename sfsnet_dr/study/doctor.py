@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -18,11 +17,18 @@ from typing import Any, Final
 
 import sfsnet_dr
 from sfsnet_dr.base import runtime
-from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.base.checks import BadInput, NotInstalled
+from sfsnet_dr.base.child import end_reason
 from sfsnet_dr.base.provenance import PACKAGES, machine, versions
+from sfsnet_dr.render.other_tracers import CYCLES_COMMAND, cycles_version
 
-#: Distributions that add something and need not be there.
-EXTRAS: Final = ("ray", "tensorboard", "bpy", "flip-evaluator", "mediapipe", "dlib", "face-alignment")
+#: Distributions that add something and need not be there, with what installs them.
+EXTRAS: Final = {
+    "ray": "pip install 'sfsnet_dr[distributed]'",
+    "tensorboard": "pip install 'sfsnet_dr[tensorboard]'",
+    "flip-evaluator": "pip install 'sfsnet_dr[validation]'",
+    "mediapipe": "pip install 'sfsnet_dr[align]'",
+}
 #: Present where a wheel of it exists; elsewhere a system LLVM takes its place, which the check "llvm" judges.
 _REPLACEABLE: Final = (runtime.LLVM_PACKAGE,)
 
@@ -58,7 +64,8 @@ class Report:
         variant: the Mitsuba variant that this package starts.
         versions: of Python and of the packages installed.
         machine: processor, cores, memory.
-        extras: versions of the optional packages found.
+        extras: versions of the optional packages found; Cycles is in an environment of its own.
+        missing: what installs each optional package that was not found.
     """
 
     checks: tuple[Check, ...]
@@ -67,6 +74,7 @@ class Report:
     versions: dict[str, str]
     machine: dict[str, str | int | float]
     extras: dict[str, str]
+    missing: dict[str, str]
 
     @property
     def ok(self) -> bool:
@@ -92,6 +100,7 @@ class Report:
             lines.append(
                 f"{title}: {', '.join(f'{name} {value}' for name, value in facts.items()) or 'none'}"
             )
+        lines += [f"not installed: {name} ({command})" for name, command in self.missing.items()]
         return "\n".join(lines)
 
 
@@ -104,8 +113,7 @@ def diagnose(time_limit: float = TIME_LIMIT) -> Report:
     found = versions()
     llvm_check, llvm = _check_llvm()
     probes = run_probe(_PROBE, time_limit) if llvm_check.ok else _not_run(STEPS, "no good LLVM")
-    extras = versions(EXTRAS)
-    del extras["python"]
+    extras, missing = _optional()
     return Report(
         checks=(_check_packages(found), llvm_check, *probes),
         llvm=llvm,
@@ -113,6 +121,7 @@ def diagnose(time_limit: float = TIME_LIMIT) -> Report:
         versions=found,
         machine=machine(),
         extras=extras,
+        missing=missing,
     )
 
 
@@ -131,7 +140,7 @@ def run_probe(command: Sequence[str], time_limit: float) -> list[Check]:
         done = subprocess.run(
             command, capture_output=True, text=True, timeout=time_limit, env=_environment(), check=False
         )
-        output, reason = done.stdout, _end_reason(done.returncode, done.stderr)
+        output, reason = done.stdout, end_reason(done.returncode, done.stderr, " before this step")
     except subprocess.TimeoutExpired as expired:
         output, reason = _text(expired.stdout), f"no answer within {time_limit:g} s; the process was ended"
     except OSError as error:
@@ -165,6 +174,18 @@ def _check_llvm() -> tuple[Check, dict[str, str] | None]:
     }
 
 
+def _optional() -> tuple[dict[str, str], dict[str, str]]:
+    """Versions of the optional packages found, and commands for the others."""
+    found = versions(EXTRAS)
+    del found["python"]
+    missing = {name: command for name, command in EXTRAS.items() if name not in found}
+    try:
+        found["cycles"] = cycles_version()
+    except NotInstalled:
+        missing["cycles"] = CYCLES_COMMAND
+    return found, missing
+
+
 def _not_run(names: Sequence[str], why: str) -> list[Check]:
     return [Check(name, False, f"not run: {why}") for name in names]
 
@@ -184,21 +205,6 @@ def _parse(output: str) -> list[Check]:
             break
         checks.append(told[name])
     return checks
-
-
-def _end_reason(returncode: int, stderr: str) -> str:
-    lines = [line.strip() for line in stderr.splitlines() if line.strip()]
-    last = f": {lines[-1]}" if lines else ", and said nothing"
-    if returncode < 0:
-        return f"the process was ended by {_signal_name(-returncode)}{last}"
-    return f"the process ended with exit code {returncode} before this step{last}"
-
-
-def _signal_name(number: int) -> str:
-    try:
-        return signal.Signals(number).name
-    except ValueError:
-        return f"signal {number}"
 
 
 def _environment() -> dict[str, str]:
