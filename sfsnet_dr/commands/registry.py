@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from sfsnet_dr.commands.faces import Relight, Show, Synth
+from sfsnet_dr.commands.lights import WorstLight
 from sfsnet_dr.commands.network import Decompose, Train
 from sfsnet_dr.commands.result import Command
 from sfsnet_dr.commands.start import Demo, Doctor
@@ -19,5 +20,6 @@ COMMANDS: Final[dict[str, tuple[type[Command], str]]] = {
     "train": (Train, "Train a network by a recipe"),
     "decompose": (Decompose, "Take photographs of faces apart"),
     "validate": (Validate, "Measure the SH renderer against the path tracer"),
+    "worst-light": (WorstLight, "Find the light under which the SH renderer is most wrong"),
     "demo": (Demo, "Run the whole pipeline and write a report"),
 }

@@ -41,12 +41,14 @@ class CaptureOptions:
         paths: paths that leave by diffuse scattering where a camera ray hits, and as many by glossy
             reflection if the surface has gloss.
         sampler: see ``render.points``.
+        gloss_order: of the mirror images; data sets and ``data.relight`` have that of the default.
     """
 
     order: int = 2
     bounces: int = 0
     paths: int = 1
     sampler: Sampler = "sobol"
+    gloss_order: int = transport.GLOSS_ORDER
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ class Capture:
         mask: (H, W) 1 where the whole pixel is face skin, else 0.
         regions: (H, W) label of ``scene.mesh.Region`` that most of the pixel's samples hit, or ``NO_REGION``.
         transport: (K, H, W, 3) response to the radiance basis lights, without gloss seen directly.
-        gloss: (9, H, W) their mirror images in the glossy lobes; (0, H, W) for a surface without.
+        gloss: (G, H, W) their mirror images in the glossy lobes, 9 of order 2; (0, H, W) without lobes.
         lamps: (D, H, W, 3) response to a light of irradiance 1 in each direction.
         rays: number of rays that were traced.
     """
@@ -125,6 +127,7 @@ def _stage(
         paths=options.paths,
         lamps=toward,
         order=options.order,
+        gloss_order=options.gloss_order,
         bounces=options.bounces,
     )
 

@@ -27,7 +27,7 @@ from sfsnet_dr.scene.mitsuba_scene import SurfaceScene, camera_rays
 from sfsnet_dr.sh.kernel import band_of
 from sfsnet_dr.sh.polynomials import sh_polynomials
 
-#: Order of G.
+#: Order of G unless another is asked for.
 GLOSS_ORDER: Final = 2
 
 _UP = mi.ScalarVector3f(0.0, 0.0, 1.0)  # any direction, where one is needed and none is looked at
@@ -50,6 +50,7 @@ class Stage:
             surface has gloss.
         lamps: (D, 3) directions toward directional lights.
         order: of T.
+        gloss_order: of G.
         bounces: greatest number of surface points after the first one.
     """
 
@@ -63,6 +64,7 @@ class Stage:
         paths: int,
         lamps: npt.NDArray[np.float64],
         order: int,
+        gloss_order: int,
         bounces: int,
     ) -> None:
         prepare()
@@ -71,13 +73,13 @@ class Stage:
         self.sample_count, self.path_count = dr.opaque(mi.UInt32, samples), dr.opaque(mi.UInt32, paths)
         self.total = dr.opaque(mi.UInt32, samples * paths)
         self.lamps, self.lamp_count = mi.Vector3f(*(upload(mi.Float, axis) for axis in lamps.T)), len(lamps)
-        self.order, self.bounces = order, bounces
+        self.order, self.gloss_order, self.bounces = order, gloss_order, bounces
 
     def sizes(self) -> dict[str, int]:
         """Numbers of values a pixel, in their order: T, G, D, and the sums over samples of maps and rays."""
         return {
             "transport": 3 * (self.order + 1) ** 2,
-            "gloss": (GLOSS_ORDER + 1) ** 2 if self.scene.gloss else 0,
+            "gloss": (self.gloss_order + 1) ** 2 if self.scene.gloss else 0,
             "lamps": 3 * self.lamp_count,
             "maps": 6 + len(Region),
             "rays": 1,
@@ -140,7 +142,7 @@ def _paths(stage: Stage, index: mi.UInt32, hit: Hit, at: Scatter) -> list[mi.Flo
         coloured = _times(stage.order, glossy.away, dr.select(glossy.direct, 0.0, glossy.weight))
         answer = [a + b for a, b in zip(answer, coloured, strict=True)]
         plain = dr.select(glossy.direct, glossy.weight.x, 0.0)  # the same in all colours
-        gloss = [value * plain for value in _basis(GLOSS_ORDER, glossy.away)]
+        gloss = [value * plain for value in _basis(stage.gloss_order, glossy.away)]
         collected, rays = collected + glossy.collected, rays + glossy.rays
     collected = collected * share
     given = [dr.select(lamp == k, collected[c], 0.0) for k in range(stage.lamp_count) for c in range(3)]

@@ -19,7 +19,8 @@ INK, SOFT, GRID = "#1c2024", "#5d666f", "#e3e6ea"
 #: Colours that stay apart for colour-blind readers and in grey (Okabe and Ito, yellow left out).
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
 
-_STYLE: dict[Any, Any] = {
+#: Matplotlib's settings for every plot.
+STYLE: dict[Any, Any] = {
     "font.size": 11,
     "axes.edgecolor": SOFT,
     "axes.labelcolor": SOFT,
@@ -64,7 +65,7 @@ def loss_curve(steps: Sequence[int], terms: Mapping[str, Sequence[float]], *, wi
         window: steps of the running mean; 0 takes a twentieth of the run.
     """
     window = window or max(1, len(steps) // 20)
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         figure, axes = _axes(6.8, 4.0)
         axes.set_yscale("log")
         ends = []
@@ -79,12 +80,12 @@ def loss_curve(steps: Sequence[int], terms: Mapping[str, Sequence[float]], *, wi
         axes.set_ylabel("loss")
         _plain_log(axes.yaxis, "{:g}".format)
         _label_ends(axes, ends)
-        return _png(figure)
+        return png(figure)
 
 
 def error_vs_time(points: Sequence[TimedError], *, error_label: str = "relative RMS error") -> bytes:
     """Error against time of one image, both logarithmic; down and to the left is better."""
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         figure, axes = _axes(6.8, 4.4)
         axes.set_xscale("log")
         axes.set_yscale("log")
@@ -107,7 +108,7 @@ def error_vs_time(points: Sequence[TimedError], *, error_label: str = "relative 
         _plain_log(axes.xaxis, _time)
         _plain_log(axes.yaxis, lambda ratio: f"{100 * ratio:g} %")
         axes.legend(frameon=False, fontsize=10, labelcolor=INK)
-        return _png(figure)
+        return png(figure)
 
 
 def histogram(values: Sequence[float], *, label: str, bins: Sequence[float], counted: str) -> bytes:
@@ -119,14 +120,14 @@ def histogram(values: Sequence[float], *, label: str, bins: Sequence[float], cou
         bins: edges, increasing.
         counted: what has the values, in the plural.
     """
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         figure, axes = _axes(6.8, 3.2)
         axes.hist(np.clip(values, bins[0], bins[-1]), bins=list(bins), color=PALETTE[0], rwidth=0.92)
         axes.grid(visible=False, axis="x")
         axes.yaxis.get_major_locator().set_params(integer=True)
         axes.set_xlabel(label)
         axes.set_ylabel(counted)
-        return _png(figure)
+        return png(figure)
 
 
 def error_map(values: NDArray[np.floating], *, label: str, limit: float, signed: bool = False) -> bytes:
@@ -138,7 +139,7 @@ def error_map(values: NDArray[np.floating], *, label: str, limit: float, signed:
         limit: the value at the end of the scale; larger ones take its colour.
         signed: whether the scale runs from -limit to limit instead of from 0.
     """
-    with matplotlib.rc_context(_STYLE | {"axes.grid": False}):
+    with matplotlib.rc_context(STYLE | {"axes.grid": False}):
         figure, axes = _axes(4.4, 3.8)
         axes.set_axis_off()
         picture = axes.imshow(
@@ -151,7 +152,7 @@ def error_map(values: NDArray[np.floating], *, label: str, limit: float, signed:
         bar = figure.colorbar(picture, ax=axes, fraction=0.045, pad=0.03, extend="both" if signed else "max")
         bar.outline.set_visible(False)
         bar.set_label(label)
-        return _png(figure)
+        return png(figure)
 
 
 def running_mean(values: NDArray[np.float64], window: int) -> NDArray[np.float64]:
@@ -214,7 +215,8 @@ def _bars(points: Sequence[TimedError]) -> NDArray[np.float64] | None:
     ).T
 
 
-def _png(figure: Any) -> bytes:
+def png(figure: Any) -> bytes:
+    """A figure as a PNG file without dates, so that equal figures are equal bytes."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})
     return buffer.getvalue()
