@@ -66,10 +66,11 @@ def test_a_still_face_is_symmetric() -> None:
 def test_eyes_land_on_their_pixels() -> None:
     head = HeadSpec(subdivision=0, roll=0.0, scale_jitter=0.0, shift_jitter=0.0)
     face = sample_face(3, SceneSpec("x", "anny", head=head))
-    seen = [project(face.landmarks[f"eye_image_{side}"], CameraSpec()) for side in ("left", "right")]
+    camera = face.pose.camera(CameraSpec())
+    seen = [project(face.landmarks[f"eye_image_{side}"], camera) for side in ("left", "right")]
     np.testing.assert_allclose(seen, [[45.0, 48.0], [83.0, 48.0]], atol=0.01)  # place() stops at .001 pixel
     mouth = (face.landmarks["mouth_image_left"] + face.landmarks["mouth_image_right"]) / 2
-    assert 48.0 < project(mouth, CameraSpec())[1] < project(face.landmarks["chin"], CameraSpec())[1] < 140.0
+    assert 48.0 < project(mouth, camera)[1] < project(face.landmarks["chin"], camera)[1] < 140.0
 
 
 def test_a_seed_is_a_person() -> None:

@@ -23,11 +23,23 @@ def seen(pose: Pose) -> np.ndarray:
 
 
 @pytest.mark.parametrize("distance", [3.6, 12.0, 1000.0])
-@pytest.mark.parametrize("yaw", [0.0, -35.0, 60.0])
-def test_eyes_are_in_their_canonical_places(yaw: float, distance: float) -> None:
-    pixels = seen(Pose(yaw=yaw, pitch=20.0, distance=distance))
+@pytest.mark.parametrize("pitch", [0.0, -30.0, 20.0])
+def test_eyes_are_in_their_canonical_places(pitch: float, distance: float) -> None:
+    pixels = seen(Pose(pitch=pitch, distance=distance))
     # ``place`` stops within .001 pixel.
     np.testing.assert_allclose(pixels[:2], [EYE_IMAGE_LEFT, EYE_IMAGE_RIGHT], atol=1.5e-3)
+
+
+@pytest.mark.parametrize("distance", [3.6, 12.0, 1000.0])
+@pytest.mark.parametrize(("yaw", "pitch"), [(-35.0, 20.0), (60.0, 0.0), (60.0, -30.0)])
+def test_a_turned_head_keeps_its_size(yaw: float, pitch: float, distance: float) -> None:
+    pixels = seen(Pose(yaw=yaw, pitch=pitch, distance=distance))
+    np.testing.assert_allclose(pixels[:2].mean(axis=0), (64.0, 48.0), atol=1.5e-3)
+    assert pixels[1, 1] == pytest.approx(pixels[0, 1], abs=1.5e-3)
+    assert 48.0 < pixels[3, 1] < 128.0  # the chin stays in the picture
+    if pitch == 0.0 and distance == 1000.0:  # what is seen of the eyes' distance, and the chin's row from the front
+        assert pixels[1, 0] - pixels[0, 0] == pytest.approx(38 * np.cos(np.radians(yaw)), rel=1e-3)
+        assert pixels[3, 1] == pytest.approx(seen(Pose(distance=distance))[3, 1], rel=1e-3)
 
 
 def test_signs_of_the_angles() -> None:

@@ -87,7 +87,11 @@ def project(points: Array, camera: CameraSpec) -> Array:
 
 
 def place(points: Array, eyes: Array, pose: Pose, camera: CameraSpec) -> Array:
-    """Turn points about the middle of the eyes and bring the eyes to their pixels, as photographs are.
+    """Turn points about the middle of the eyes, bring that to its pixel and the eyes to one line.
+
+    The head's size is that at which the eyes, if they were equally far away, would be seen as far apart as in
+    the canonical frame. Only heads turned sideways differ from photographs aligned by both eyes: those would be
+    magnified by 1 / cos(yaw), which cuts mouth and chin off.
 
     Args:
         points: (N, 3) head, y up, z forward, any unit.
@@ -96,8 +100,8 @@ def place(points: Array, eyes: Array, pose: Pose, camera: CameraSpec) -> Array:
         camera: gives the perspective; ``pose.camera(...)`` for a sampled pose.
 
     Returns:
-        (N, 3) in scene units; both eyes project to the pose's similarity transform of the canonical eye
-        centres within .001 pixel.
+        (N, 3) in scene units. With yaw 0 both eyes project to the pose's similarity transform of the canonical
+        eye centres within .001 pixel; with any yaw their middle and the direction from one to the other do.
 
     Raises:
         BadInput: if the camera is so close that no size of the head does that.
@@ -106,11 +110,14 @@ def place(points: Array, eyes: Array, pose: Pose, camera: CameraSpec) -> Array:
     turn = rotation(pose.yaw, pose.pitch)
     points, eyes = (points - middle) @ turn.T, (eyes - middle) @ turn.T
     target = _eye_target(pose)
+    across = target[1] - target[0]
     for _ in range(_ROUNDS):  # perspective makes it slightly nonlinear; each round divides the error
         seen = _as_complex(project(eyes, camera))
-        if np.abs(seen - target).max() < _CLOSE_ENOUGH:
+        line = (seen[1] - seen[0]) / abs(seen[1] - seen[0])
+        factor = across / (line * _facing_distance(eyes, camera))
+        offset = (target - seen).mean()
+        if max(abs(offset), abs(across) * abs(1 - factor)) < _CLOSE_ENOUGH:
             return points
-        factor = (target[1] - target[0]) / (seen[1] - seen[0])
         points, eyes = _similarity(points, factor), _similarity(eyes, factor)
         offset = (target - _as_complex(project(eyes, camera))).mean()
         shift = np.array([offset.real, -offset.imag, 0.0]) / _PIXELS_PER_UNIT
@@ -119,6 +126,12 @@ def place(points: Array, eyes: Array, pose: Pose, camera: CameraSpec) -> Array:
         f"pose: yaw {pose.yaw:g} at camera.distance {camera.distance:g} found, at which the eyes cannot be "
         "brought to their places; move the camera away"
     )
+
+
+def _facing_distance(eyes: Array, camera: CameraSpec) -> float:
+    """Pixels between the eyes if both were as far from the camera as their middle is."""
+    apart, depth = np.linalg.norm(eyes[1] - eyes[0]), camera.distance - eyes[:, 2].mean()
+    return float(_PIXELS_PER_UNIT * apart * camera.distance / depth)
 
 
 def _sample_distance(rng: np.random.Generator, camera: CameraSpec) -> float:

