@@ -77,7 +77,7 @@ def test_fingerprints_are_equal_for_equal_specs_only() -> None:
     assert as_dict(Outer("x", colour=(0.0, 0.5, 1.0)))["colour"] == [0.0, 0.5, 1.0]
 
 
-@pytest.mark.parametrize("name", ["faces", "validation/sphere", "validation/head"])
+@pytest.mark.parametrize("name", ["faces", "demo_faces", "validation/sphere", "validation/head"])
 def test_the_scenes_of_the_repository_load(name: str) -> None:
     path = Path(__file__).parents[1] / "scenes" / f"{name}.toml"
     assert load_scene(path).name == path.stem

@@ -64,7 +64,7 @@ def test_a_still_face_is_symmetric() -> None:
 
 
 def test_eyes_land_on_their_pixels() -> None:
-    head = HeadSpec(subdivision=0, roll=0.0, scale_jitter=0.0, shift_jitter=0.0)
+    head = HeadSpec(subdivision=0, yaw=0.0, roll=0.0, scale_jitter=0.0, shift_jitter=0.0)
     face = sample_face(3, SceneSpec("x", "anny", head=head))
     camera = face.pose.camera(CameraSpec())
     seen = [project(face.landmarks[f"eye_image_{side}"], camera) for side in ("left", "right")]

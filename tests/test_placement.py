@@ -37,7 +37,9 @@ def test_a_turned_head_keeps_its_size(yaw: float, pitch: float, distance: float)
     np.testing.assert_allclose(pixels[:2].mean(axis=0), (64.0, 48.0), atol=1.5e-3)
     assert pixels[1, 1] == pytest.approx(pixels[0, 1], abs=1.5e-3)
     assert 48.0 < pixels[3, 1] < 128.0  # the chin stays in the picture
-    if pitch == 0.0 and distance == 1000.0:  # what is seen of the eyes' distance, and the chin's row from the front
+    if (
+        pitch == 0.0 and distance == 1000.0
+    ):  # what is seen of the eyes' distance, and the chin's row from the front
         assert pixels[1, 0] - pixels[0, 0] == pytest.approx(38 * np.cos(np.radians(yaw)), rel=1e-3)
         assert pixels[3, 1] == pytest.approx(seen(Pose(distance=distance))[3, 1], rel=1e-3)
 

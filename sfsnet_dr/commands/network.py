@@ -28,6 +28,9 @@ class Train:
     out: Out
     data: Annotated[Path | None, arg(metavar="DIR", help="Folder that `sfsnet-dr synth` wrote.")] = None
     faces: Annotated[int, arg(help="Faces to render where --data is not given.")] = 24
+    scene: Annotated[
+        Path | None, arg(metavar="FILE", help="Their scene (TOML); left out, that of scenes/faces.toml.")
+    ] = None
     resume: Annotated[bool, arg(help="Go on from the last checkpoint in --out.")] = False
     as_json: Json = False
 
@@ -35,12 +38,12 @@ class Train:
         from sfsnet_dr.fit.recipe import read_recipe
         from sfsnet_dr.fit.trainer import train
         from sfsnet_dr.report.record import dotted, measured
-        from sfsnet_dr.scene.spec import SceneSpec
 
         recipe = read_recipe(self.recipe)
         data = self.data or self.out / "faces"
         if self.data is None:
-            render_faces(SceneSpec("faces", "anny"), Synth(data, self.faces, resume=True))
+            wanted = Synth(data, self.faces, scene=self.scene, resume=True)
+            render_faces(wanted.spec(), wanted)
         result = train(recipe, data, self.out, resume=self.resume, progress=True)
         records = [
             measured(f"train.loss.{dotted(term)}", value, "1", command=command_line(), seed=recipe.seed)

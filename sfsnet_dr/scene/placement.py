@@ -90,8 +90,8 @@ def place(points: Array, eyes: Array, pose: Pose, camera: CameraSpec) -> Array:
     """Turn points about the middle of the eyes, bring that to its pixel and the eyes to one line.
 
     The head's size is that at which the eyes, if they were equally far away, would be seen as far apart as in
-    the canonical frame. Only heads turned sideways differ from photographs aligned by both eyes: those would be
-    magnified by 1 / cos(yaw), which cuts mouth and chin off.
+    the canonical frame. Only heads turned sideways differ from photographs aligned by both eyes: those would
+    be magnified by 1 / cos(yaw), which cuts mouth and chin off.
 
     Args:
         points: (N, 3) head, y up, z forward, any unit.
@@ -100,8 +100,8 @@ def place(points: Array, eyes: Array, pose: Pose, camera: CameraSpec) -> Array:
         camera: gives the perspective; ``pose.camera(...)`` for a sampled pose.
 
     Returns:
-        (N, 3) in scene units. With yaw 0 both eyes project to the pose's similarity transform of the canonical
-        eye centres within .001 pixel; with any yaw their middle and the direction from one to the other do.
+        (N, 3) in scene units. With yaw 0 both eyes project to the pose's similarity transform of the
+        canonical eye centres within .001 pixel; with any yaw their middle and their line do.
 
     Raises:
         BadInput: if the camera is so close that no size of the head does that.

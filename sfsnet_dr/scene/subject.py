@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from sfsnet_dr.scene.face import sample_face
 from sfsnet_dr.scene.mesh import Mesh
@@ -30,6 +30,7 @@ class Subject:
 def build_subject(spec: SceneSpec, seed: int = 0) -> Subject:
     """The surface that a spec describes, and the camera that looks at it."""
     if spec.shape in SHAPES:
-        return Subject(spec, seed, SHAPES[spec.shape](spec.albedo or (0.5, 0.5, 0.5)), spec.camera)
+        mesh = SHAPES[spec.shape](spec.albedo or (0.5, 0.5, 0.5))
+        return Subject(spec, seed, mesh, replace(spec.camera, focal=None))
     face = sample_face(seed, spec)
     return Subject(spec, seed, face.mesh, face.pose.camera(spec.camera))

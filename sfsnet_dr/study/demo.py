@@ -90,7 +90,7 @@ def run_demo(out: Path | str, root: Path | str = ".", *, console: Console | None
     folder, checkout = output_dir(out), _checkout(root)
     screen = console or Console(stderr=True)
     doctor = _doctor(screen)
-    spec = load_scene(checkout / "scenes" / "faces.toml")
+    spec = load_scene(checkout / "scenes" / "demo_faces.toml")
     rendered, render_seconds = _render(spec, folder / "faces", screen)
     ladders = tuple(
         _validate(checkout / "scenes" / "validation" / f"{name}.toml", screen) for name in ("sphere", "head")
@@ -154,7 +154,7 @@ def astronaut() -> Picture:
 def _checkout(root: Path | str) -> Path:
     folder = Path(root)
     for part in (
-        "scenes/faces.toml",
+        "scenes/demo_faces.toml",
         "scenes/validation/sphere.toml",
         "scenes/validation/head.toml",
         "training/recipes/smoke.toml",
