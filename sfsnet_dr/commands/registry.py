@@ -8,6 +8,7 @@ from sfsnet_dr.commands.faces import Relight, Show, Synth
 from sfsnet_dr.commands.lights import WorstLight
 from sfsnet_dr.commands.network import Decompose, Train
 from sfsnet_dr.commands.result import Command
+from sfsnet_dr.commands.stability import Stability
 from sfsnet_dr.commands.start import Demo, Doctor
 from sfsnet_dr.commands.validation import Validate
 
@@ -21,5 +22,6 @@ COMMANDS: Final[dict[str, tuple[type[Command], str]]] = {
     "decompose": (Decompose, "Take photographs of faces apart"),
     "validate": (Validate, "Measure the SH renderer against the path tracer"),
     "worst-light": (WorstLight, "Find the light under which the SH renderer is most wrong"),
+    "stability": (Stability, "Put hard cases to every SH renderer and the loss"),
     "demo": (Demo, "Run the whole pipeline and write a report"),
 }
