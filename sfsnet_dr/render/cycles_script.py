@@ -79,7 +79,10 @@ def add_surface(folder):
 
 
 def lambertian():
-    """Diffuse reflection of the mesh's albedo."""
+    """Diffuse reflection of the mesh's albedo, of what faces the ray by its shading normal.
+
+    Cycles alone would shade the rest too. At a silhouette that is light which Mitsuba does not have.
+    """
     material = bpy.data.materials.new("lambertian")
     material.use_nodes = True
     nodes, links = material.node_tree.nodes, material.node_tree.links
@@ -87,9 +90,17 @@ def lambertian():
     albedo, diffuse = nodes.new("ShaderNodeAttribute"), nodes.new("ShaderNodeBsdfDiffuse")
     albedo.attribute_name = "albedo"
     diffuse.inputs["Roughness"].default_value = 0.0
-    out = nodes.new("ShaderNodeOutputMaterial")
     links.new(albedo.outputs["Vector"], diffuse.inputs["Color"])
-    links.new(diffuse.outputs["BSDF"], out.inputs["Surface"])
+    place, cosine, faces = (nodes.new(f"ShaderNode{kind}") for kind in ("NewGeometry", "VectorMath", "Math"))
+    cosine.operation, faces.operation = "DOT_PRODUCT", "GREATER_THAN"
+    faces.inputs[1].default_value = 0.0
+    links.new(place.outputs["Normal"], cosine.inputs[0])
+    links.new(place.outputs["Incoming"], cosine.inputs[1])
+    links.new(cosine.outputs["Value"], faces.inputs[0])
+    shown, out = nodes.new("ShaderNodeMixShader"), nodes.new("ShaderNodeOutputMaterial")
+    links.new(faces.outputs["Value"], shown.inputs["Fac"])
+    links.new(diffuse.outputs["BSDF"], shown.inputs[2])
+    links.new(shown.outputs["Shader"], out.inputs["Surface"])
     return material
 
 
