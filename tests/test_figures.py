@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sfsnet_dr.report.figures import TimedError, error_map, error_vs_time, loss_curve, running_mean, spread
+from sfsnet_dr.report.figures import error_map, loss_curve, running_mean, signed_colours, spread
 
 
 def pixels(png: bytes) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
@@ -38,21 +38,16 @@ def test_loss_curve_draws_and_repeats(names: list[str]) -> None:
     assert np.unique(pixels(picture).reshape(-1, 3), axis=0).shape[0] > 20
 
 
-def test_error_vs_time_shows_one_marker_colour_a_group() -> None:
-    points = [
-        TimedError("order 2", "SH", 1e-3, 2e-2, (1.5e-2, 2.6e-2)),
-        TimedError("order 4", "SH", 2e-3, 1e-2),
-        TimedError("64 spp", "path tracer", 0.4, 5e-2),
-    ]
-    colours = {tuple(int(c) for c in rgb) for rgb in pixels(error_vs_time(points)).reshape(-1, 3)}
-    assert (0x00, 0x72, 0xB2) in colours
-    assert (0xD5, 0x5E, 0x00) in colours
-    assert (0x00, 0x9E, 0x73) not in colours
-
-
 def test_error_map_leaves_missing_pixels_white() -> None:
     values = np.full((16, 16), np.nan)
     values[4:12, 4:12] = 1.0
     inner = pixels(error_map(values, label="error [%]", limit=1.0))
     empty = pixels(error_map(np.full((16, 16), np.nan), label="error [%]", limit=1.0))
     assert (inner != empty).any(axis=-1).mean() > 0.05
+
+
+def test_signed_colours_are_red_above_blue_below_and_white_where_nothing_is() -> None:
+    above, below, none = signed_colours(np.array([[0.2, -0.2, np.nan]]), limit=0.1)[0]
+    assert above[0] > above[2] + 50
+    assert below[2] > below[0] + 50
+    assert (none == 255).all()

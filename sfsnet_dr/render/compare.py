@@ -63,6 +63,7 @@ def relative_rmse(
     second: npt.ArrayLike,
     mask: npt.ArrayLike,
     *,
+    again: npt.ArrayLike | None = None,
     level: float = 0.95,
     block: int = 8,
     draws: int = 2000,
@@ -76,6 +77,7 @@ def relative_rmse(
 
     Args:
         image, first, second, mask: as in ``bias_squared``.
+        again: a second image of the same renderer with other noise; the noise of both is then left out too.
         level: coverage of the interval.
         block: edge of a block in pixels.
         draws: number of bootstrap samples.
@@ -85,7 +87,9 @@ def relative_rmse(
         BadInput: as ``bias_squared``; also for a mask within a single block, or a black reference.
     """
     s, r1, r2, weight = _checked(image, first, second, mask)
-    error = _block_sums((s - r1) * (s - r2), weight, block)
+    other = s if again is None else _checked(again, first, second, mask)[0]
+    difference = (s - r1) * (other - r2)
+    error = _block_sums(difference, weight, block)
     power = _block_sums(r1 * r2, weight, block)
     used = _block_sums(np.ones_like(s), weight, block) > 0
     error, power = error[used], power[used]
@@ -100,7 +104,31 @@ def relative_rmse(
     ratios = np.sqrt(np.maximum(drawn_error[lit], 0) / drawn_power[lit])
     low, high = np.quantile(ratios, [(1 - level) / 2, (1 + level) / 2])
     value = math.sqrt(max(error.sum(), 0) / power.sum())
-    return RelativeRmse(value, float(low), float(high), _mean((s - r1) * (s - r2), weight))
+    return RelativeRmse(value, float(low), float(high), _mean(difference, weight))
+
+
+def worst_block(
+    image: npt.ArrayLike, first: npt.ArrayLike, second: npt.ArrayLike, mask: npt.ArrayLike, block: int = 8
+) -> float:
+    """RMS error of the square block of pixels that is worst, over the reference's RMS in the whole image.
+
+    Free of the references' noise as ``relative_rmse``; of many blocks with equal errors it still takes the
+    one that noise favours. Blocks of which less than half is counted have no say.
+
+    Args:
+        image, first, second, mask: as in ``bias_squared``.
+        block: edge of a block in pixels.
+
+    Raises:
+        BadInput: as ``bias_squared``; also if no block is counted to a half.
+    """
+    s, r1, r2, weight = _checked(image, first, second, mask)
+    count = _block_sums(np.ones_like(s), weight, block)
+    full = count >= 0.5 * s.shape[-1] * block * block
+    if not full.any():
+        raise BadInput(f"mask: no block of {block}x{block} pixels found of which half is counted")
+    error = _block_sums((s - r1) * (s - r2), weight, block)[full] / count[full]
+    return math.sqrt(max(float(error.max()), 0.0) / _mean(r1 * r2, weight))
 
 
 def _checked(image: Any, first: Any, second: Any, mask: Any) -> tuple[Array, Array, Array, Array]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import matplotlib
@@ -37,25 +36,6 @@ STYLE: dict[Any, Any] = {
 }
 
 
-@dataclass(frozen=True)
-class TimedError:
-    """One renderer's place in the plot of error against time.
-
-    Attributes:
-        name: label beside the point.
-        group: points of one group share a colour and are joined in the order of their time.
-        seconds: time of one image, positive.
-        error: relative error, positive.
-        interval: ends of the error's interval, or None.
-    """
-
-    name: str
-    group: str
-    seconds: float
-    error: float
-    interval: tuple[float, float] | None = None
-
-
 def loss_curve(steps: Sequence[int], terms: Mapping[str, Sequence[float]], *, window: int = 0) -> bytes:
     """Losses over training steps on a logarithmic axis: each value faint, a running mean on top.
 
@@ -78,36 +58,8 @@ def loss_curve(steps: Sequence[int], terms: Mapping[str, Sequence[float]], *, wi
         axes.set_xlim(steps[0], steps[-1])
         axes.set_xlabel("training step")
         axes.set_ylabel("loss")
-        _plain_log(axes.yaxis, "{:g}".format)
+        plain_log(axes.yaxis, "{:g}".format)
         _label_ends(axes, ends)
-        return png(figure)
-
-
-def error_vs_time(points: Sequence[TimedError], *, error_label: str = "relative RMS error") -> bytes:
-    """Error against time of one image, both logarithmic; down and to the left is better."""
-    with matplotlib.rc_context(STYLE):
-        figure, axes = _axes(6.8, 4.4)
-        axes.set_xscale("log")
-        axes.set_yscale("log")
-        for index, group in enumerate(dict.fromkeys(point.group for point in points)):
-            mine = sorted((p for p in points if p.group == group), key=lambda p: p.seconds)
-            x, y = [p.seconds for p in mine], [p.error for p in mine]
-            colour = PALETTE[index % len(PALETTE)]
-            axes.errorbar(
-                x, y, yerr=_bars(mine), color=colour, marker="o", markersize=7, capsize=3, linewidth=1.4,
-                label=group,
-            )  # fmt: skip
-            for point in mine:
-                axes.annotate(
-                    point.name, (point.seconds, point.error), xytext=(8, 6), textcoords="offset points",
-                    size=9.5, color=colour,
-                )  # fmt: skip
-        axes.margins(x=0.16, y=0.14)
-        axes.set_xlabel("time of one image")
-        axes.set_ylabel(error_label)
-        _plain_log(axes.xaxis, _time)
-        _plain_log(axes.yaxis, lambda ratio: f"{100 * ratio:g} %")
-        axes.legend(frameon=False, fontsize=10, labelcolor=INK)
         return png(figure)
 
 
@@ -155,6 +107,13 @@ def error_map(values: NDArray[np.floating], *, label: str, limit: float, signed:
         return png(figure)
 
 
+def signed_colours(values: NDArray[np.floating], limit: float) -> NDArray[np.uint8]:
+    """A map (H, W) as pixels (H, W, 3): red above 0, blue below, full colour at ``limit``; NaN is white."""
+    shown = matplotlib.colormaps["RdBu_r"](0.5 + 0.5 * np.clip(np.nan_to_num(values) / limit, -1.0, 1.0))
+    pixels = np.where(np.isnan(values)[..., None], 1.0, np.asarray(shown)[..., :3])
+    return np.asarray(np.round(255 * pixels), dtype=np.uint8)
+
+
 def running_mean(values: NDArray[np.float64], window: int) -> NDArray[np.float64]:
     """Mean over the last ``window`` values, over fewer at the start; (N,) to (N,)."""
     total = np.concatenate(([0.0], np.cumsum(values)))
@@ -182,19 +141,13 @@ def _axes(width: float, height: float) -> tuple[Any, Any]:
     return figure, figure.add_subplot()
 
 
-def _plain_log(axis: Any, text: Callable[[float], str]) -> None:
+def plain_log(axis: Any, text: Callable[[float], str]) -> None:
     """Label a logarithmic axis in plain numbers: decades, and 2 and 5 between them where it spans few."""
     low, high = axis.get_view_interval()
     between = (1.0, 2.0, 5.0) if high / low < 200 else (1.0,)
     axis.set_major_locator(LogLocator(subs=between))
     axis.set_minor_locator(NullLocator())
     axis.set_major_formatter(FuncFormatter(lambda value, _: text(value)))
-
-
-def _time(seconds: float) -> str:
-    if seconds > 0.999:
-        return f"{seconds:g} s"
-    return f"{1e3 * seconds:g} ms" if seconds > 0.999e-3 else f"{1e6 * seconds:g} \u00b5s"
 
 
 def _label_ends(axes: Any, ends: Sequence[tuple[float, str, str]]) -> None:
@@ -204,15 +157,6 @@ def _label_ends(axes: Any, ends: Sequence[tuple[float, str, str]]) -> None:
     heights = [(np.log10(value) - low) / (high - low) for value, _, _ in ordered]
     for place, (_, name, colour) in zip(spread(heights, 0.065), ordered, strict=True):
         axes.text(1.015, place, name, transform=axes.transAxes, color=colour, va="center", clip_on=False)
-
-
-def _bars(points: Sequence[TimedError]) -> NDArray[np.float64] | None:
-    if all(point.interval is None for point in points):
-        return None
-    ends = [point.interval or (point.error, point.error) for point in points]
-    return np.array(
-        [[max(p.error - lo, 0.0), max(hi - p.error, 0.0)] for p, (lo, hi) in zip(points, ends, strict=True)]
-    ).T
 
 
 def png(figure: Any) -> bytes:

@@ -13,8 +13,9 @@ from sfsnet_dr.data.bundle import Bundle
 from sfsnet_dr.report.figures import loss_curve
 from sfsnet_dr.report.html import Figure, Gallery, KeyNumbers, Note, Section, Table, write_page
 from sfsnet_dr.report.record import Record
-from sfsnet_dr.study import validate
-from sfsnet_dr.study.demo import DemoResult
+from sfsnet_dr.study.demo import TOLERANCE, DemoResult
+from sfsnet_dr.study.validate_page import section
+from sfsnet_dr.study.verdict import duration, pooled
 
 _LEAD = (
     "A face is rendered with full light transport by Mitsuba 3, the cheap spherical-harmonic model of SfSNet "
@@ -28,7 +29,7 @@ def write_demo_page(path: Path, result: DemoResult) -> None:
     sections = [
         _summary(result),
         _faces(result),
-        *(validate.section(ladder) for ladder in result.ladders),
+        *(section(study, TOLERANCE) for study in result.studies),
         _training(result),
         _photograph(result),
         _unseen(result),
@@ -41,7 +42,7 @@ def write_demo_page(path: Path, result: DemoResult) -> None:
 
 
 def _summary(result: DemoResult) -> Section:
-    sphere, head = (validate.pooled(ladder, "order 2") for ladder in result.ladders)
+    sphere, head = (pooled(study, "order2", study.natural) for study in result.studies)
     images = len(result.history)
     return Section(
         "In short",
@@ -50,7 +51,7 @@ def _summary(result: DemoResult) -> Section:
                 [
                     (f"{100 * sphere.error:.1f} %", "error of order-2 SH on a sphere, natural light"),
                     (f"{100 * head.error:.1f} %", "the same on a head, where noses cast shadows"),
-                    (f"{1e3 * head.seconds:.1f} ms", "time of one such image"),
+                    (duration(head.seconds), "time of one such image"),
                     (f"{result.normal_errors.mean:.1f}°", "normals of an unseen synthetic face"),
                     (f"{_value(result, 'demo.seconds') / 60:.1f} min", "time of this demo"),
                 ]

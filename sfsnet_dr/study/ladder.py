@@ -1,205 +1,284 @@
-"""How wrong each shading model is on a scene, and how long it takes, against the path tracer."""
+"""How wrong each model is on a subject under many lights, why, and how fast the path tracer catches up."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-import torch
 
-from sfsnet_dr.base.conventions import LIGHT_ORDER
-from sfsnet_dr.data.relight import relight
-from sfsnet_dr.render import shading_drjit
-from sfsnet_dr.render.capture import Capture, capture
-from sfsnet_dr.render.compare import RelativeRmse, relative_rmse
-from sfsnet_dr.render.reference import Reference, path_trace
-from sfsnet_dr.scene.mitsuba_scene import ENVIRONMENT_SIZE, SurfaceScene
-from sfsnet_dr.scene.spec import FACE_SHAPES, SceneSpec
-from sfsnet_dr.scene.subject import build_subject
-from sfsnet_dr.sh.coefficients import Radiance
-from sfsnet_dr.sh.priors import LobeLight, sample_lights
-from sfsnet_dr.sh.projection import project_directional
+from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.base.color import delta_e_2000
+from sfsnet_dr.metrics.flip import flip, has_flip
+from sfsnet_dr.metrics.image import mae_8bit
+from sfsnet_dr.render.compare import RelativeRmse, relative_rmse, worst_block
+from sfsnet_dr.render.reference import path_trace
+from sfsnet_dr.scene.light_sets import require_light
+from sfsnet_dr.scene.lights import SceneLight
+from sfsnet_dr.scene.subject import Subject
+from sfsnet_dr.study.causes import Cause, Part, Step, split
+from sfsnet_dr.study.levels import Levels, Pair, Stage, trace_levels
+from sfsnet_dr.study.rungs import Known, Rung, know, ladder_rungs
+from sfsnet_dr.study.unshadowed import FineMaps
 
 Image = npt.NDArray[np.float64]
-T = TypeVar("T")
 
-#: Orders of the analytic rungs; order 3 equals 2, for the clamped cosine has no third band.
-ORDERS = (0, 1, 2, 4)
-#: Samples per pixel at which the path tracer is timed, beside the reference itself.
-PATH_SAMPLES = (4, 16, 64)
-NATURAL_LIGHTS = 3
-_LIGHT_SEED = 20
-#: From the upper right, 45 degrees from the viewing direction; irradiance pi gives shading 1 at the peak.
-HARD_LIGHT = (np.array([0.5, 0.5, np.sqrt(0.5)]), np.full(3, np.pi))
+#: Paths per pixel at which the path tracer is timed.
+PATH_SAMPLES: Final = (4, 16, 64, 256)
+
+#: The lights over which a model's mean error is given: as photographs are lit, and always the same.
+NATURAL: Final = ("natural0", "natural1", "natural2")
 
 
 @dataclass(frozen=True)
-class Light:
-    """A light of the study: an environment, or one directional light where that is None."""
+class Errors:
+    """Distances of an image from the truth, on the mask.
 
-    name: str
-    environment: LobeLight | None
+    Attributes:
+        rel: relative RMS error with interval, free of noise.
+        worst: the same of the worst 8 x 8 block, over the RMS of the whole truth.
+        mae_8bit: mean absolute difference in 8-bit sRGB units; holds the noise of the reference.
+        delta_e: mean CIE Delta E 2000; likewise.
+        flip: mean FLIP; likewise. None where ``flip-evaluator`` is not installed.
+    """
 
-    def coefficients(self, order: int) -> Radiance:
-        """Radiance coefficients to an order."""
-        if self.environment is None:
-            return project_directional(*HARD_LIGHT, order)
-        return self.environment.coefficients(order)
+    rel: RelativeRmse
+    worst: float
+    mae_8bit: float
+    delta_e: float
+    flip: float | None
 
 
 @dataclass(frozen=True)
-class Rung:
+class Row:
     """One model under one light.
 
     Attributes:
-        name: such as ``order 2``.
-        group: ``analytic``, ``visibility`` or ``path tracer``.
-        seconds: wall time of one image, compiled and warm.
-        error: relative RMS error; for the path tracer its noise.
-        image: (H, W, 3) linear, or None for the path tracer.
+        name: such as ``order 2``, for people.
+        key: such as ``order2``, for records.
+        group: rung's kind, or ``path`` for a path tracer that leaves something out.
+        errors: distance from the truth.
+        parts: the error split by cause.
+        image: (H, W, 3) linear.
     """
 
     name: str
+    key: str
     group: str
+    errors: Errors
+    parts: dict[Cause, Part]
+    image: Image
+
+
+@dataclass(frozen=True)
+class PathTime:
+    """The path tracer at some paths a pixel: wall time of an image, compiled, and relative RMS noise."""
+
+    samples: int
     seconds: float
-    error: RelativeRmse
-    image: Image | None = None
+    noise: float
 
 
 @dataclass(frozen=True)
 class LightResult:
-    """All rungs under one light, with the reference.
+    """All models under one light.
 
     Attributes:
         light: the light.
-        rungs: the models, cheapest first.
-        reference: (H, W, 3) mean of both references.
-        variance_of_one_sample: mean over mask and colours; the path tracer's squared error is this / N.
+        rows: models, cheapest first, then path tracers that leave something out.
+        paths: the complete path tracer, by samples.
+        truth: the two references.
+        plain: the same of the subject without its gloss.
+        floor: distance of one reference from the other: what noise adds to the errors that hold it.
+        variance: of one path's radiance, mean over mask and colours.
     """
 
-    light: Light
-    rungs: tuple[Rung, ...]
-    reference: Image
-    variance_of_one_sample: float
+    light: SceneLight
+    rows: tuple[Row, ...]
+    paths: tuple[PathTime, ...]
+    truth: Pair
+    plain: Pair
+    floor: Errors
+    variance: float
 
-    def rung(self, name: str) -> Rung:
-        """The rung of a name."""
-        return next(rung for rung in self.rungs if rung.name == name)
+    @property
+    def hard(self) -> bool:
+        """Whether a lamp or sun casts hard shadows."""
+        return bool(self.light.directional)
 
-    def crossover(self, name: str) -> float:
-        """Samples per pixel N* from which the path tracer is more accurate than a rung: variance / bias^2."""
-        bias = self.rung(name).error.bias_squared
-        return self.variance_of_one_sample / bias if bias > 0 else float("inf")
+    def row(self, key: str) -> Row:
+        """The row of a key."""
+        return next(row for row in self.rows if row.key == key)
+
+    def crossover(self, key: str) -> float:
+        """Paths per pixel N* from which the path tracer is more accurate than a model: variance / bias^2."""
+        bias = self.row(key).errors.rel.bias_squared
+        return self.variance / bias if bias > 0 else float("inf")
 
 
 @dataclass(frozen=True)
 class Ladder:
-    """A scene's results.
+    """A subject's results: what the models know of it, and one result for each light."""
 
-    Attributes:
-        spec: the scene.
-        mask: (H, W) pixels that are counted.
-        capture_seconds: one-off time of maps and transport, warm.
-        results: one for each light.
-    """
-
-    spec: SceneSpec
-    mask: Image
-    capture_seconds: float
+    subject: Subject
+    known: Known
     results: tuple[LightResult, ...]
 
+    @property
+    def name(self) -> str:
+        """Of the scene."""
+        return self.subject.spec.name
 
-def climb(spec: SceneSpec, seed: int = 0, on_light: Callable[[str], None] = lambda name: None) -> Ladder:
-    """Measure every rung on a scene under three natural environments and one hard light.
+
+def climb(
+    subject: Subject,
+    lights: Sequence[SceneLight],
+    *,
+    samples: int | None = None,
+    seed: int = 0,
+    on_light: Callable[[str], None] = lambda name: None,
+) -> Ladder:
+    """Measure every rung of the ladder.
 
     Args:
-        spec: the scene; its sampling says how many paths each of the two references gets.
-        seed: of the head and of the references' noise.
+        subject: what is seen.
+        lights: under which.
+        samples: paths per pixel of each of the two references; the scene says if not given.
+        seed: of all noise.
         on_light: called with a light's name when it is done.
+
+    Raises:
+        BadInput: for a light of all zeros, no light, or a subject of which the camera sees nothing.
     """
-    subject = build_subject(spec, seed)
-    surface, camera = subject.mesh, subject.camera
-    soft, hard = SurfaceScene(surface, camera), SurfaceScene(surface, camera, (HARD_LIGHT,))
-    capture(soft, 1, seed)  # compiles
-    maps, capture_seconds = _timed(lambda: capture(soft, spec.sampling.transport, seed), repeats=1)
-    mask = (maps.mask if spec.shape in FACE_SHAPES else maps.coverage >= 1.0).astype(np.float64)
+    if not lights:
+        raise BadInput("lights: none found, at least one expected")
+    for light in lights:
+        require_light(light)
+    rungs = ladder_rungs(subject.spec.has_gloss)
+    known = know(subject, seed, rungs)
+    if not known.mask.any():
+        raise BadInput(
+            f"{subject.spec.name}: no surface in view: no pixel is covered whole by what is counted"
+        )
+    stage, fine = Stage(subject), FineMaps.of(subject, known.mask, seed)
+    samples = subject.spec.sampling.reference if samples is None else samples
     results = []
-    for light in study_lights():
-        scene = hard if light.environment is None else soft
-        if light.environment is not None:
-            scene.set_environment(light.environment.equirect(*ENVIRONMENT_SIZE))
-        results.append(_measure(light, scene, spec, maps, mask, seed))
+    for light in lights:
+        levels = trace_levels(stage, light, samples, seed)
+        results.append(_measure(light, levels, known, fine, rungs, stage, seed))
         on_light(light.name)
-    return Ladder(spec, mask, capture_seconds, tuple(results))
+    return Ladder(subject, known, tuple(results))
 
 
-def study_lights() -> list[Light]:
-    """The lights that every scene is measured under."""
-    natural = sample_lights(np.random.default_rng(_LIGHT_SEED), NATURAL_LIGHTS)
-    return [Light(f"natural{k}", light) for k, light in enumerate(natural)] + [Light("directional45", None)]
+def errors_of(image: Pair, truth: Pair, mask: Image) -> Errors:
+    """All distances of an image, or of two that differ by noise, from the truth."""
+    shown, reference = image.mean, truth.mean
+    counted = mask > 0
+    return Errors(
+        rel=relative_rmse(image.first, *truth, mask, again=image.second),
+        worst=worst_block(shown, *truth, mask),
+        mae_8bit=mae_8bit(shown, reference, mask),
+        delta_e=float(delta_e_2000(np.clip(shown[counted], 0, 1), np.clip(reference[counted], 0, 1)).mean()),
+        flip=flip(shown, reference, mask) if has_flip() else None,
+    )
 
 
 def _measure(
-    light: Light, scene: SurfaceScene, spec: SceneSpec, maps: Capture, mask: Image, seed: int
+    light: SceneLight,
+    levels: Levels,
+    known: Known,
+    fine: FineMaps,
+    rungs: tuple[Rung, ...],
+    stage: Stage,
+    seed: int,
 ) -> LightResult:
-    paths, depth = spec.sampling.reference, spec.sampling.depth
-    path_trace(scene, PATH_SAMPLES[0], 0, depth)  # compiles, if anything is left to compile
-    first, seconds = _timed(lambda: path_trace(scene, paths, 2 * seed, depth), repeats=1)
-    second = path_trace(scene, paths, 2 * seed + 1, depth)
-    rungs = [_analytic(light, order, maps, first, second, mask) for order in ORDERS]
-    rungs.append(_with_visibility(light, maps, first, second, mask))
-    variance = _masked_mean((first.variance + second.variance) * (paths / 2), mask)
-    power = _masked_mean(first.mean * second.mean, mask)
-    timings = {
-        n: _timed(lambda n=n: path_trace(scene, n, 1, depth), repeats=1)[1]  # type: ignore[misc]
-        for n in PATH_SAMPLES
-    }
-    rungs += [_path_tracer(n, t, variance, power) for n, t in (timings | {paths: seconds}).items()]
-    return LightResult(light, tuple(rungs), (first.mean + second.mean) / 2, variance)
+    complete = _twice(fine.complete(light))
+    rows = []
+    for rung in rungs:
+        image = known.image(rung, light)
+        steps = _steps(rung, _twice(image), light, levels, fine, complete)
+        parts = split(steps, known.mask, known.noise(rung, light))
+        errors = errors_of(_twice(image), levels.truth, known.mask)
+        rows.append(Row(rung.name, rung.key, rung.kind, errors, parts, image))
+    rows += [_limit(name, key, steps, levels, known.mask) for name, key, steps in _limits(levels)]
+    variance = _mean(levels.variance, known.mask)
+    power = _mean(levels.truth.first * levels.truth.second, known.mask)
+    return LightResult(
+        light=light,
+        rows=tuple(rows),
+        paths=_path_times(stage, light, variance / power, seed),
+        truth=levels.truth,
+        plain=levels.diffuse,
+        floor=errors_of(_twice(levels.truth.first), _twice(levels.truth.second), known.mask),
+        variance=variance,
+    )
 
 
-def _analytic(
-    light: Light, order: int, maps: Capture, first: Reference, second: Reference, mask: Image
-) -> Rung:
-    normal, albedo = _tensor(maps.normal), _tensor(maps.albedo)
-    flat = light.coefficients(order).to_shading().flat()
-    shading = torch.from_numpy(flat[None].astype(np.float32))
-    shading_drjit.f_render(normal, albedo, shading)  # compiles
-    image, seconds = _timed(lambda: shading_drjit.f_render(normal, albedo, shading), repeats=30)
-    pixels = np.moveaxis(image[0].numpy().astype(np.float64), 0, -1)
-    error = relative_rmse(pixels, first.mean, second.mean, mask)
-    return Rung(f"order {order}", "analytic", seconds, error, pixels)
+def _steps(
+    rung: Rung, image: Pair, light: SceneLight, levels: Levels, fine: FineMaps, complete: Pair
+) -> list[Step]:
+    """From a rung's image to the truth; see ``study.causes``."""
+    further = _after_direct(levels)
+    if rung.kind == "visibility":
+        return [Step("truncation", image, levels.direct), *further]
+    if rung.kind == "bounce":
+        return [Step("truncation", image, levels.bounce), *_after_bounce(levels)]
+    if rung.kind == "gloss" and levels.glossy_bounce is not None:
+        rest = Step("interreflection", levels.glossy_bounce, levels.truth)
+        return [Step("truncation", image, levels.glossy_bounce), rest]
+    truncated = _twice(fine.truncated(light, rung.order))
+    return [
+        Step("filter", image, truncated),
+        Step("truncation", truncated, complete),
+        Step("visibility", complete, levels.direct),
+        *further,
+    ]
 
 
-def _with_visibility(light: Light, maps: Capture, first: Reference, second: Reference, mask: Image) -> Rung:
-    coefficients = light.coefficients(LIGHT_ORDER)
-    image, seconds = _timed(lambda: relight(maps.transport, coefficients), repeats=30)
-    error = relative_rmse(image, first.mean, second.mean, mask)
-    return Rung("order 2 + visibility", "visibility", seconds, error, np.asarray(image, dtype=np.float64))
+def _after_direct(levels: Levels) -> list[Step]:
+    return [Step("interreflection", levels.direct, levels.diffuse), *_gloss(levels)]
 
 
-def _path_tracer(count: int, seconds: float, variance: float, power: float) -> Rung:
-    noise = float(np.sqrt(variance / count / power))
-    return Rung(f"{count} spp", "path tracer", seconds, RelativeRmse(noise, noise, noise, variance / count))
+def _after_bounce(levels: Levels) -> list[Step]:
+    return [Step("interreflection", levels.bounce, levels.diffuse), *_gloss(levels)]
 
 
-def _timed(work: Callable[[], T], repeats: int) -> tuple[T, float]:
-    """The last result and the median wall time; the work must end with its values in memory."""
-    seconds = []
-    for _ in range(repeats):
+def _gloss(levels: Levels) -> list[Step]:
+    return [] if levels.glossy_bounce is None else [Step("gloss", levels.diffuse, levels.truth)]
+
+
+def _limits(levels: Levels) -> list[tuple[str, str, list[Step]]]:
+    """Path tracers that leave something out, without their noise: what no cheaper model can beat."""
+    found = [
+        ("path traced, direct light", "path_direct", _after_direct(levels)),
+        ("path traced, one bounce", "path_bounce", _after_bounce(levels)),
+    ]
+    return [
+        *found,
+        *([("path traced, no gloss", "path_diffuse", gloss)] if (gloss := _gloss(levels)) else []),
+    ]
+
+
+def _limit(name: str, key: str, steps: list[Step], levels: Levels, mask: Image) -> Row:
+    image = steps[0].upper
+    return Row(name, key, "path", errors_of(image, levels.truth, mask), split(steps, mask), image.mean)
+
+
+def _path_times(stage: Stage, light: SceneLight, variance: float, seed: int) -> tuple[PathTime, ...]:
+    scene, found = stage.lit(light, stage.subject.spec.has_gloss), []
+    for samples in PATH_SAMPLES:
         begin = time.perf_counter()
-        result = work()
-        seconds.append(time.perf_counter() - begin)
-    return result, float(np.median(seconds))
+        path_trace(scene, samples, seed)
+        found.append(PathTime(samples, time.perf_counter() - begin, float(np.sqrt(variance / samples))))
+    return tuple(found)
 
 
-def _masked_mean(values: Image, mask: Image) -> float:
+def _twice(image: Image) -> Pair:
+    return Pair(image, image)
+
+
+def _mean(values: Image, mask: Image) -> float:
     return float((values * mask[..., None]).sum() / (3 * mask.sum()))
-
-
-def _tensor(image: npt.NDArray[np.float32]) -> torch.Tensor:
-    return torch.from_numpy(np.moveaxis(image, -1, 0)[None].copy())

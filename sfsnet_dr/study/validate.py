@@ -1,224 +1,162 @@
-"""``sfsnet-dr validate``: the ladder of models on one scene, as records, a table, a plot and a page."""
+"""``sfsnet-dr validate``: models and renderers measured on one scene, as records, a table and a page."""
 
 from __future__ import annotations
 
-import csv
-import io
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
-from sfsnet_dr.apply.display import on_white, png_bytes, show_linear
-from sfsnet_dr.base.atomic import output_dir, write_text
-from sfsnet_dr.base.checks import WorkFailed
-from sfsnet_dr.report.figures import TimedError, error_map, error_vs_time
-from sfsnet_dr.report.html import Block, Figure, Gallery, Section, Table, write_page
-from sfsnet_dr.report.record import Record, measured, write_records
+from sfsnet_dr.base.atomic import atomic_path, output_dir, write_text
+from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.report.console import bar
+from sfsnet_dr.report.record import Record, write_records
+from sfsnet_dr.scene.light_sets import light_set
+from sfsnet_dr.scene.lights import SceneLight
 from sfsnet_dr.scene.spec import load_scene
-from sfsnet_dr.study.ladder import ORDERS, Ladder, LightResult, Rung, climb
+from sfsnet_dr.scene.subject import Subject, build_subject
+from sfsnet_dr.scene.validation_scenes import load_spec_by_name, validation_scenes
+from sfsnet_dr.study.cold import cold_times
+from sfsnet_dr.study.ladder import Ladder, LightResult, climb
+from sfsnet_dr.study.rivals import Rival, chosen_renderers, compare_rivals
+from sfsnet_dr.study.timing import time_rung
+from sfsnet_dr.study.validate_records import main_records, study_records, to_csv
+from sfsnet_dr.study.verdict import Study, sentence
 
-_MAP_LIMIT = 0.3  # of the error map, relative to the RMS of the reference
 
+@dataclass(frozen=True)
+class Request:
+    """What to validate, and what to spend.
 
-def validate(
-    scene: Path | str,
-    out: Path | str,
-    tolerance: float | None = None,
-    *,
-    seed: int = 0,
-    command: str = "sfsnet-dr validate",
-) -> list[Record]:
-    """Measure a scene and write ``records.json``, ``ladder.csv`` and ``index.html``.
-
-    Args:
-        scene: a TOML file of ``scenes/``.
-        out: folder for the results.
-        tolerance: relative RMS error allowed to order 2; None allows any.
-        seed: of the head and the noise.
+    Attributes:
+        scene: a name of ``scenes/validation`` or a file.
+        lights: names of sets or lights, with commas between (``scene.light_sets``).
+        tolerance: relative RMS error that is allowed.
+        renderers: ``all``, ``none`` or names with commas between.
+        samples: paths per pixel of each reference; the scene says if None.
+        size: edge of the image in pixels; the scene says if None.
+        seed: of a head and of all noise.
+        environments: folder of environment maps that join the lights.
+        model_path: where the scene's face model lies.
         command: what the records say measured them.
+    """
+
+    scene: Path | str
+    lights: str = "standard"
+    tolerance: float = 0.05
+    renderers: str = "all"
+    samples: int | None = None
+    size: int | None = None
+    seed: int = 0
+    environments: Path | None = None
+    model_path: Path | None = None
+    command: str = "sfsnet-dr validate"
+
+
+def validate(request: Request, out: Path | str) -> tuple[list[Record], str]:
+    """Measure and write ``records.json``, ``errors.csv``, ``pareto.png``, ``maps/`` and ``index.html``.
+
+    Returns:
+        The records, and the sentence that names the cheapest rung within the tolerance.
 
     Raises:
-        BadInput: for a bad scene file or folder.
-        WorkFailed: if order 2 is worse than the tolerance; the results are written all the same.
+        BadInput: for an unknown scene, light or renderer, a light of all zeros, a scene with no surface in
+            view, or a tolerance or number that makes no sense.
     """
-    spec, folder = load_scene(scene), output_dir(out)
-    ladder = climb(spec, seed)
-    found = ladder_records(ladder, command, seed)
+    from sfsnet_dr.study.validate_page import error_maps, pareto, write_study_page
+
+    subject, lights = _subject(request), light_set(request.lights, request.environments)
+    names, folder = chosen_renderers(request.renderers), output_dir(out)
+    study = measure(subject, lights, names, samples=request.samples, seed=request.seed)
+    found = study_records(study, request.tolerance, request.command, request.seed)
     write_records(folder / "records.json", found)
-    write_text(folder / "ladder.csv", to_csv(ladder))
-    write_page(
-        folder / "index.html", f"Validation: {spec.name}", cheapest(ladder, tolerance), [section(ladder)]
+    write_text(folder / "errors.csv", to_csv(study))
+    maps = output_dir(folder / "maps")
+    pictures = {maps / f"{name}.png": picture for name, picture in error_maps(study).items()}
+    for path, picture in ({folder / "pareto.png": pareto(study)} | pictures).items():
+        with atomic_path(path) as unfinished:
+            unfinished.write_bytes(picture)
+    write_study_page(folder / "index.html", study, request.tolerance, found[0])
+    return found, sentence(study, request.tolerance)
+
+
+def validate_all(request: Request, out: Path | str, skipped: Callable[[str], None]) -> list[Record]:
+    """Validate every scene into a folder of its name, and write the main records of all of them together.
+
+    Args:
+        request: its scene is not looked at.
+        out: folder for all of it; ``records.json`` holds what ``validate_records.main_records`` picks, and
+            ``errors.csv`` every line.
+        skipped: called with the reason for a scene whose face model is not given.
+    """
+    folder, found, tables = output_dir(out), [], []
+    for scene, path in validation_scenes().items():
+        if load_scene(path).shape == "ict" and request.model_path is None:
+            skipped(f"{scene}: left out; it needs --model-path")
+            continue
+        records, _ = validate(replace(request, scene=scene), folder / scene)
+        found += main_records(records)
+        tables.append((folder / scene / "errors.csv").read_text(encoding="utf-8").splitlines(keepends=True))
+    write_records(folder / "records.json", found)
+    write_text(
+        folder / "errors.csv", "".join([*tables[0][:1], *(line for table in tables for line in table[1:])])
     )
-    error = pooled(ladder, "order 2").error
-    if tolerance is not None and error > tolerance:
-        raise WorkFailed(
-            f"{spec.name}: order 2 has a relative RMS error of {error:.4f}, {tolerance:g} is allowed; "
-            f"see {folder}"
-        )
     return found
 
 
-def pooled(ladder: Ladder, name: str) -> TimedError:
-    """A rung over the natural lights: RMS of the relative errors, median time."""
-    rungs = [result.rung(name) for result in _natural(ladder)]
+def measure(
+    subject: Subject,
+    lights: Sequence[SceneLight],
+    renderers: Sequence[str] = (),
+    *,
+    samples: int | None = None,
+    seed: int = 0,
+    cold: bool = True,
+) -> Study:
+    """Everything about one scene, under a progress bar.
 
-    def together(values: list[float]) -> float:
-        return float(np.sqrt(np.mean(np.square(values))))
-
-    return TimedError(
-        name=name,
-        group=rungs[0].group,
-        seconds=float(np.median([rung.seconds for rung in rungs])),
-        error=together([rung.error.value for rung in rungs]),
-        interval=(together([r.error.low for r in rungs]), together([r.error.high for r in rungs])),
-    )
-
-
-def ladder_records(ladder: Ladder, command: str, seed: int) -> list[Record]:
-    """Error and time of every model: over the natural lights, and for each light."""
-    records = []
-    for name in [f"order {order}" for order in ORDERS] + ["order 2 + visibility"]:
-        key = f"validate.{_key(name)}.{ladder.spec.name}"
-        over_all = pooled(ladder, name)
-        records.append(
-            measured(
-                f"{key}.rel_rmse", over_all.error, "1", command=command, interval=over_all.interval, seed=seed
-            )
-        )
-        records.append(measured(f"{key}.seconds", over_all.seconds, "s", command=command, seed=seed))
-        for result in ladder.results:
-            error = result.rung(name).error
-            records.append(
-                measured(
-                    f"{key}.{result.light.name}.rel_rmse",
-                    error.value,
-                    "1",
-                    command=command,
-                    interval=(error.low, error.high),
-                    seed=seed,
-                )
-            )
-    return records
+    Args:
+        subject: what is seen.
+        lights: under which.
+        renderers: names of the renderers that are compared too, under one soft and one hard light.
+        samples: paths per pixel of each reference.
+        seed: of all noise.
+        cold: whether first calls are timed, in a process of their own.
+    """
+    name = subject.spec.name
+    with bar(f"{name}: lights", len(lights)) as advance:
+        ladder = climb(subject, lights, samples=samples, seed=seed, on_light=lambda _: advance())
+    gloss = subject.spec.has_gloss
+    first = cold_times(subject.camera.size, gloss) if cold else {}
+    study = Study(ladder, {}, first)
+    with bar(f"{name}: times", len(study.rungs)) as advance:
+        times = {}
+        for rung in study.rungs:
+            times[rung.key] = time_rung(ladder.known, rung, lights[0])
+            advance()
+    return replace(study, times=times, rivals=_rivals(ladder, renderers))
 
 
-def cheapest(ladder: Ladder, tolerance: float | None) -> str:
-    """One sentence: the cheapest model within the tolerance (5 % if None), a capture counted as its cost."""
-    allowed = 0.05 if tolerance is None else tolerance
-    names = [f"order {order}" for order in ORDERS] + ["order 2 + visibility"]
-    within = [rung for rung in (pooled(ladder, name) for name in names) if rung.error <= allowed]
-    if not within:
-        return f"No shading model meets {100 * allowed:g} % on {ladder.spec.name}: path tracing is needed."
-    cost = {"analytic": 0.0, "visibility": ladder.capture_seconds}
-    best = min(within, key=lambda rung: rung.seconds + cost[rung.group])
-    return (
-        f"The cheapest model within {100 * allowed:g} % on {ladder.spec.name} is {best.name}: "
-        f"{100 * best.error:.2g} % relative RMS error in {1e3 * best.seconds:.2g} ms an image."
-    )
+def _subject(request: Request) -> Subject:
+    if not 0 < request.tolerance < 10:
+        raise BadInput(f"--tolerance: {request.tolerance:g} found, a ratio above 0 and below 10 allowed")
+    spec = load_spec_by_name(request.scene, request.model_path)
+    if request.samples is not None and not 2 <= request.samples <= 65536:
+        raise BadInput(f"--samples: {request.samples} found, 2 to 65536 allowed")
+    if request.size is not None:
+        if not 16 <= request.size <= 1024:
+            raise BadInput(f"--size: {request.size} found, 16 to 1024 allowed")
+        spec = replace(spec, camera=replace(spec.camera, size=request.size))
+    return build_subject(spec, request.seed)
 
 
-def section(ladder: Ladder) -> Section:
-    """Table, plot and pictures of a scene for a page."""
-    name = ladder.spec.name
-    natural = _natural(ladder)
-    rungs = [pooled(ladder, rung.name) for rung in natural[0].rungs]
-    blocks: list[Block] = [
-        cheapest(ladder, None),
-        _table(ladder),
-        Figure(
-            error_vs_time([rung for rung in rungs if rung.error > 0]),
-            f"Error against time of one image of the {name}, {ladder.spec.camera.size} pixels square, "
-            "over the natural lights. Down and to the left is better. The path tracer's error is its noise.",
-        ),
-    ]
-    blocks += [_pictures(ladder, result) for result in (natural[0], ladder.results[-1])]
-    worst = ladder.results[-1]
-    blocks.append(
-        Figure(_error_picture(ladder, worst), f"Order 2 minus reference, {worst.light.name} light.")
-    )
-    return Section(f"The {name}", blocks)
+def _rivals(ladder: Ladder, names: Sequence[str]) -> tuple[Rival, ...]:
+    lights = rival_lights(ladder.results)
+    with bar(f"{ladder.name}: renderers", max(len(names) * len(lights), 1)) as advance:
+        return compare_rivals(ladder, names, lights, lambda _: advance())
 
 
-def to_csv(ladder: Ladder) -> str:
-    """One line for each light and model."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["scene", "light", "model", "rel_rmse", "low", "high", "seconds", "crossover_spp"])
-    for result in ladder.results:
-        for rung in result.rungs:
-            error = rung.error
-            writer.writerow(
-                [
-                    ladder.spec.name,
-                    result.light.name,
-                    rung.name,
-                    *(f"{x:.6g}" for x in (error.value, error.low, error.high, rung.seconds)),
-                    f"{result.crossover(rung.name):.4g}",
-                ]
-            )
-    return text.getvalue()
-
-
-def _table(ladder: Ladder) -> Table:
-    rows = []
-    for index, rung in enumerate(ladder.results[0].rungs):
-        cells = [_percent(result.rungs[index]) for result in ladder.results]
-        rows.append(
-            [rung.name, *cells, _milliseconds(pooled(ladder, rung.name).seconds), _crossover(ladder, rung)]
-        )
-    headers = ["model", *(result.light.name for result in ladder.results), "time (ms)", "N*"]
-    return Table(
-        headers,
-        rows,
-        "Relative RMS error in % against the path tracer, with 95 % intervals and the reference's noise "
-        "taken out, and the warm time of one image. N* is the number of samples a pixel from which the path "
-        f"tracer is more accurate. Visibility needs a capture of {ladder.capture_seconds:.1f} s once a face, "
-        f"and on a convex shape shows the noise of its {ladder.spec.sampling.transport} directions.",
-    )
-
-
-def _percent(rung: Rung) -> str:
-    error = rung.error
-    if rung.group == "path tracer":
-        return f"{100 * error.value:.1f}"
-    return f"{100 * error.value:.1f} ({100 * error.low:.1f}–{100 * error.high:.1f})"  # noqa: RUF001
-
-
-def _crossover(ladder: Ladder, rung: Rung) -> str:
-    if rung.group == "path tracer":
-        return ""
-    return f"{np.median([result.crossover(rung.name) for result in _natural(ladder)]):.0f}"
-
-
-def _milliseconds(seconds: float) -> str:
-    return f"{1e3 * seconds:.2f}" if seconds < 0.1 else f"{1e3 * seconds:.0f}"
-
-
-def _pictures(ladder: Ladder, result: LightResult) -> Gallery:
-    images = [("path traced", result.reference)]
-    for name in ("order 2", "order 2 + visibility"):
-        image = result.rung(name).image
-        assert image is not None
-        images.append((name, image))
-    shown = [(png_bytes(on_white(show_linear(image), ladder.mask)), label) for label, image in images]
-    return Gallery(shown, f"Light: {result.light.name}. White is not counted.")
-
-
-def _error_picture(ladder: Ladder, result: LightResult) -> bytes:
-    image = result.rung("order 2").image
-    assert image is not None
-    power = float((result.reference**2 * ladder.mask[..., None]).sum() / (3 * ladder.mask.sum()))
-    difference = (image - result.reference).mean(axis=-1) / np.sqrt(power)
-    return error_map(
-        np.where(ladder.mask > 0, difference, np.nan),
-        label="difference / RMS of the reference",
-        limit=_MAP_LIMIT,
-        signed=True,
-    )
-
-
-def _natural(ladder: Ladder) -> list[LightResult]:
-    return [result for result in ladder.results if result.light.environment is not None]
-
-
-def _key(name: str) -> str:
-    return name.replace(" + ", "_").replace(" ", "")
+def rival_lights(results: Sequence[LightResult]) -> list[LightResult]:
+    """One soft light, a natural one if there is, and the last of the single hard lamps."""
+    soft = sorted((r for r in results if not r.hard), key=lambda r: not r.light.name.startswith("natural"))
+    hard = [r for r in results if r.hard and r.light.environment is None]
+    return [*soft[:1], *hard[-1:]]
