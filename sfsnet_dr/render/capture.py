@@ -100,7 +100,7 @@ def capture(
         BadInput: for sample counts that the sampler cannot place, or directions that are no unit vectors.
     """
     toward = _checked(samples, options, directions)
-    pixels = _covered(scene)
+    pixels = covered_pixels(scene)
     stage = _stage(scene, pixels, samples, seed, options, toward)
     sizes = stage.sizes()
     values = _to_image(_read(transport.trace(stage)), pixels, scene.camera.size)
@@ -145,7 +145,7 @@ def _to_image(values: Array, pixels: Indices, size: int) -> Array:
     return image.reshape(size, size, len(values))
 
 
-def _covered(scene: SurfaceScene) -> Indices:
+def covered_pixels(scene: SurfaceScene) -> Indices:
     """Numbers of the pixels in which, or next to which, one of 4 x 4 rays hits; neighbours together."""
     size = scene.camera.size
     shifts = (np.arange(4) + 0.5) / 4

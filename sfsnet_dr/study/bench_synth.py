@@ -1,0 +1,291 @@
+"""``sfsnet-dr bench synth``: how fast faces are made, at what noise, against the plain way and the limit."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from sfsnet_dr.data.synth import render_bundle, render_file
+from sfsnet_dr.render.capture import Capture, CaptureOptions, capture
+from sfsnet_dr.render.plain import PlainRender, plain_render
+from sfsnet_dr.render.points import SAMPLERS, Sampler
+from sfsnet_dr.render.ray_rate import bare_ray_tests, kernel_times
+from sfsnet_dr.report.record import Record, measured
+from sfsnet_dr.scene.face import Face, sample_face
+from sfsnet_dr.scene.light_sources import sample_direction
+from sfsnet_dr.scene.lights import MAP_ORDER
+from sfsnet_dr.scene.mitsuba_scene import ENVIRONMENT_SIZE, SurfaceScene
+from sfsnet_dr.scene.spec import SceneSpec
+from sfsnet_dr.sh.basis import sh_basis
+from sfsnet_dr.sh.projection import equirect_directions
+
+Array = npt.NDArray[np.float64]
+T = TypeVar("T")
+
+#: Captures that noise is estimated from.
+RUNS = 4
+#: Camera rays a pixel for which noise and time are measured, for every sampler.
+SAMPLE_COUNTS = (4, 16, 64)
+#: Paths a pixel of the plain way's renders; their noise is scaled from there.
+PLAIN_SAMPLES = 32
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of one capture, relative to the image that a white sky gives.
+
+    Attributes:
+        transport, gloss, lamps: root mean square over responses, face pixels and colours; gloss is 0 for a
+            surface without.
+    """
+
+    transport: float
+    gloss: float
+    lamps: float
+
+
+@dataclass(frozen=True)
+class Variances:
+    """Mean variance of the responses of each kind."""
+
+    transport: float
+    gloss: float
+    lamps: float
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What all measurements share: one face, its scene, and what is traced.
+
+    Attributes:
+        face: the face that is measured on.
+        scene: with the face in it.
+        spec: how it is sampled.
+        directions: (D, 3) of its directional lights.
+        seed: of face and noise.
+    """
+
+    face: Face
+    scene: SurfaceScene
+    spec: SceneSpec
+    directions: Array
+    seed: int
+
+    @staticmethod
+    def prepare(spec: SceneSpec, seed: int) -> Bench:
+        """Sample the face and load its scene."""
+        face = sample_face(seed, spec)
+        scene = SurfaceScene(face.mesh, face.pose.camera(spec.camera), gloss=spec.has_gloss)
+        rng = np.random.default_rng(seed)
+        directions = np.array([sample_direction(rng) for _ in range(spec.sampling.directions)])
+        return Bench(face, scene, spec, directions.reshape(-1, 3), seed)
+
+    def options(self, sampler: Sampler = "sobol") -> CaptureOptions:
+        """The spec's, for a sampler."""
+        return CaptureOptions(MAP_ORDER, self.spec.sampling.bounces, self.spec.sampling.paths, sampler)
+
+    def captures(self, samples: int, sampler: Sampler = "sobol") -> tuple[list[Capture], float]:
+        """Captures of independent seeds, and the median time of one, compiled and warm."""
+        options = self.options(sampler)
+        capture(self.scene, samples, self.seed, options, self.directions)
+        timed = [
+            _timed(lambda k=k: capture(self.scene, samples, self.seed + k, options, self.directions))  # type: ignore[misc]
+            for k in range(RUNS)
+        ]
+        return [maps for maps, _ in timed], float(np.median([seconds for _, seconds in timed]))
+
+
+def bench_synth(
+    spec: SceneSpec,
+    *,
+    faces: int = 8,
+    seed: int = 0,
+    command: str = "sfsnet-dr bench synth",
+    say: Callable[[str], None] = lambda line: None,
+) -> list[Record]:
+    """Measure bundles a second, noise against time, the ratio to the plain way and the share of the ray rate.
+
+    All in one run, one after another; let nothing else run on the machine. Minutes.
+
+    Args:
+        spec: faces to render; its sampling is what is measured.
+        faces: faces that bundles a second are measured on, after one that compiles.
+        seed: of the first face.
+        command: what the records say measured them.
+        say: is told what is going on.
+    """
+    found: dict[str, tuple[float, str]] = {}
+    say("complete bundles")
+    found |= _bundle_rate(spec, faces, seed)
+    bench = Bench.prepare(spec, seed)
+    say("noise of the samplers")
+    found |= _noise_against_time(bench)
+    say("the plain way")
+    found |= _against_plain(bench)
+    say("the limit of ray_test")
+    found |= _against_rays(bench)
+    return [
+        measured(f"synth.{name}", value, unit, command=command, seed=seed)
+        for name, (value, unit) in found.items()
+    ]
+
+
+def _bundle_rate(spec: SceneSpec, faces: int, seed: int) -> dict[str, tuple[float, str]]:
+    """Wall time of whole bundles and of their parts."""
+    data = render_file(spec, None, seed)  # loads the face model and compiles
+    seconds = [_timed(lambda k=k: render_file(spec, None, seed + 1 + k))[1] for k in range(faces)]  # type: ignore[misc]
+    without = replace(spec, sampling=replace(spec.sampling, reference=2))
+    render_bundle(without, seed)
+    shorter = [_timed(lambda k=k: render_bundle(without, seed + 1 + k))[1] for k in range(faces)]  # type: ignore[misc]
+    shapes = [_timed(lambda k=k: sample_face(seed + 1 + k, spec))[1] for k in range(faces)]  # type: ignore[misc]
+    return {
+        "bundles_per_s": (len(seconds) / sum(seconds), "1/s"),
+        "bundle_bytes": (len(data), "B"),
+        "seconds.bundle": (float(np.median(seconds)), "s"),
+        "seconds.bundle_without_reference_and_file": (float(np.median(shorter)), "s"),
+        "seconds.sample_face": (float(np.median(shapes)), "s"),
+    }
+
+
+def _noise_against_time(bench: Bench) -> dict[str, tuple[float, str]]:
+    found = {}
+    for sampler in SAMPLERS:
+        for samples in SAMPLE_COUNTS:
+            captures, seconds = bench.captures(samples, sampler)
+            noise, key = noise_of(captures), f"{sampler}.{samples}"
+            found[f"noise.transport.{key}"] = (noise.transport, "1")
+            if bench.scene.gloss:
+                found[f"noise.gloss.{key}"] = (noise.gloss, "1")
+            if len(bench.directions):
+                found[f"noise.lamps.{key}"] = (noise.lamps, "1")
+            found[f"seconds.capture.{key}"] = (seconds, "s")
+    return found
+
+
+def noise_of(captures: list[Capture]) -> Noise:
+    """Noise of one capture, estimated from several."""
+    white = np.mean([maps.transport[0] for maps in captures], axis=0)[captures[0].mask > 0]
+    scale = float(np.sqrt(np.mean(white**2)))
+    spread = variances_of(captures)
+    return Noise(*(float(np.sqrt(value)) / scale for value in (spread.transport, spread.gloss, spread.lamps)))
+
+
+def variances_of(captures: list[Capture]) -> Variances:
+    """Mean variance over face pixels, colours and the responses of a kind."""
+    mask = captures[0].mask > 0
+
+    def mean_variance(images: list[npt.NDArray[np.float32]]) -> float:
+        if not len(images[0]):
+            return 0.0
+        return float(np.var(np.stack(images, dtype=np.float64), axis=0, ddof=1)[:, mask].mean())
+
+    return Variances(
+        mean_variance([maps.transport for maps in captures]),
+        mean_variance([maps.gloss for maps in captures]),
+        mean_variance([maps.lamps for maps in captures]),
+    )
+
+
+def _against_plain(bench: Bench) -> dict[str, tuple[float, str]]:
+    """Time of the plain way at the same noise, and at the same number of paths, over that of a capture.
+
+    The plain way loads the scene once a face, then renders each response alone. A basis light is negative in
+    places, which no environment may be: its two parts are rendered with half the samples each, which has less
+    noise than one render of a shifted light.
+    """
+    sampling = bench.spec.sampling
+    captures, seconds = bench.captures(sampling.transport)
+    ours, mask = variances_of(captures), captures[0].mask.astype(np.float64)
+    scene, load = _timed(lambda: _loaded(bench))
+    _, exchange = _timed(lambda: bench.scene.set_mesh(bench.face.mesh))
+    depth, paths = sampling.bounces + 2, sampling.transport * sampling.paths
+    basis = sh_basis(equirect_directions(*ENVIRONMENT_SIZE), MAP_ORDER)
+    equal_noise, equal_paths = load, load
+    groups = [(scene, basis, depth, ours.transport)]
+    if scene.gloss:
+        groups.append((_mirror(bench), basis[..., :9], 2, ours.gloss))
+    for surface, functions, deepest, variance in groups:
+        for k in range(functions.shape[-1]):
+            parts = [np.maximum(sign * functions[..., k], 0.0) for sign in (1.0, -1.0)]
+            parts = [part for part in parts if part.any()]
+            runs = [_plain(surface, part, mask, deepest) for part in parts]
+            needed = sum(run.variance for run in runs) * len(runs) / variance
+            equal_noise += _seconds_for(runs, needed)
+            equal_paths += _seconds_for(runs, paths)
+    for direction in bench.directions:
+        lit = SurfaceScene(
+            bench.face.mesh, bench.scene.camera, [(direction, np.ones(3))], gloss=bench.scene.gloss
+        )
+        run = plain_render(lit, mask, PLAIN_SAMPLES, depth)
+        equal_noise += _seconds_for([run], run.variance / ours.lamps)
+        equal_paths += _seconds_for([run], sampling.transport)
+    return {
+        "seconds.capture": (seconds, "s"),
+        "seconds.exchange_mesh": (exchange, "s"),
+        "seconds.load_scene": (load, "s"),
+        "seconds.plain.same_noise": (equal_noise, "s"),
+        "seconds.plain.same_paths": (equal_paths, "s"),
+        "ratio.plain": (equal_noise / (seconds + exchange), "1"),
+        "ratio.plain_same_paths": (equal_paths / (seconds + exchange), "1"),
+    }
+
+
+def _loaded(bench: Bench) -> SurfaceScene:
+    return SurfaceScene(bench.face.mesh, bench.scene.camera, gloss=bench.scene.gloss)
+
+
+def _mirror(bench: Bench) -> SurfaceScene:
+    """The same surface with a black body: nothing but gloss is left."""
+    black = replace(bench.face.mesh, albedo=np.zeros_like(bench.face.mesh.albedo))
+    return SurfaceScene(black, bench.scene.camera, gloss=True)
+
+
+def _plain(scene: SurfaceScene, light: Array, mask: Array, depth: int) -> PlainRender:
+    scene.set_environment(np.repeat(light[..., None], 3, axis=-1))
+    return plain_render(scene, mask, PLAIN_SAMPLES, depth)
+
+
+def _seconds_for(runs: list[PlainRender], samples: float) -> float:
+    """Time for a number of samples in all, spread over the runs, by the time of one sample alone.
+
+    What a render costs beside its samples is not counted: that favours the plain way.
+    """
+    return sum(run.seconds / run.samples for run in runs) * samples / len(runs)
+
+
+def _against_rays(bench: Bench) -> dict[str, tuple[float, str]]:
+    """Rays a second of a whole capture over those of ``ray_test`` alone, in turns."""
+    sampling = bench.spec.sampling
+    rates, limits = [], []
+    for _ in range(3):
+        captures, seconds = bench.captures(sampling.transport)
+        rates.append(captures[0].rays / seconds)
+        limits.append(bare_ray_tests(bench.scene, 32))
+    times = kernel_times(
+        lambda: capture(bench.scene, sampling.transport, 0, bench.options(), bench.directions)
+    )
+    largest = max(times, key=lambda kernel: kernel.operations)
+    _, whole = _timed(lambda: capture(bench.scene, sampling.transport, 0, bench.options(), bench.directions))
+    rate, limit = float(np.median(rates)), float(np.median(limits))
+    return {
+        "rays_per_capture": (captures[0].rays, "rays"),
+        "rays_per_s": (rate, "rays/s"),
+        "rays_per_s.ray_test": (limit, "rays/s"),
+        "share.ray_rate": (rate / limit, "1"),
+        "seconds.kernel.paths": (largest.seconds, "s"),
+        "seconds.kernel.coverage": (sum(k.seconds for k in times) - largest.seconds, "s"),
+        "seconds.outside_kernels": (max(whole - sum(k.seconds for k in times), 0.0), "s"),
+        "kernel.operations": (largest.operations, "operations"),
+        "kernels_compiled": (sum(kernel.compiled for kernel in times), "kernels"),
+    }
+
+
+def _timed(work: Callable[[], T]) -> tuple[T, float]:
+    begin = time.perf_counter()
+    result = work()
+    return result, time.perf_counter() - begin
