@@ -10,9 +10,10 @@ import OpenImageIO as oiio
 import PIL.Image
 import PIL.ImageOps
 import pytest
+from disks import files_up_to
 from numpy.typing import NDArray
 
-from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.base.checks import BadInput, WorkFailed
 from sfsnet_dr.base.color import linear_to_srgb, srgb_to_linear
 from sfsnet_dr.base.imageio import read_exr, read_image, write_exr, write_png
 
@@ -233,3 +234,27 @@ def test_the_order_of_an_array_in_memory_does_not_matter(tmp_path: Path, suffix:
             write_exr(path, {name: array[..., c].T.copy().T for c, name in enumerate("RGB")}, {})
         written.append(path.read_bytes())
     assert written[0] == written[1]
+
+
+@pytest.mark.parametrize("missing", [1, 100, 3000])
+@pytest.mark.parametrize("suffix", [".exr", ".png"])
+def test_a_full_disk_is_told_whatever_it_cuts_off(tmp_path: Path, suffix: str, missing: int) -> None:
+    """OpenImageIO alone is silent about the last buffer of an EXR."""
+    pixels = np.random.default_rng(0).random((64, 64, 3))
+
+    def write(path: Path) -> None:
+        if suffix == ".png":
+            write_png(path, pixels)
+        else:
+            write_exr(path, {name: pixels[..., c] for c, name in enumerate("RGB")}, {})
+
+    whole, cut = tmp_path / f"whole{suffix}", tmp_path / f"cut{suffix}"
+    write(whole)
+    with (
+        files_up_to(whole.stat().st_size - missing),
+        pytest.raises(WorkFailed, match=f"{cut}: writing failed"),
+    ):
+        write(cut)
+    assert list(tmp_path.iterdir()) == [whole]
+    write(cut)
+    assert cut.read_bytes() == whole.read_bytes()

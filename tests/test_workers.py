@@ -16,7 +16,7 @@ import pytest
 
 from sfsnet_dr.base.checks import BadInput, WorkFailed
 from sfsnet_dr.data import workers
-from sfsnet_dr.data.workers import Crew, Here, OnRay, choose
+from sfsnet_dr.data.workers import LIFETIME, Crew, Here, OnRay, choose
 
 ray_is_here = pytest.mark.skipif(find_spec("ray") is None, reason="the extra `distributed` is not installed")
 
@@ -52,6 +52,13 @@ def test_processes_are_replaced() -> None:
     shares = Counter(pid for _, pid in Crew(1, lifetime=2).run(process, range(5)))
     assert os.getpid() not in shares
     assert sorted(shares.values()) == [1, 2, 2]
+
+
+def test_a_long_run_replaces_its_processes_unasked() -> None:
+    """As ``synth --count 450`` would: one worker, but not this process, and none does more than its share."""
+    shares = Counter(pid for _, pid in choose(1, 450).run(process, range(450)))
+    assert os.getpid() not in shares
+    assert sorted(shares.values()) == [50, LIFETIME, LIFETIME]
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,7 @@ from sfsnet_dr.base.checks import BadInput, WorkFailed
 from sfsnet_dr.base.color import linear_to_srgb, srgb_to_linear
 
 _PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
+_PNG_END: Final = b"IEND\xaeB`\x82"
 _HALF_MAX: Final = 65504.0
 
 
@@ -118,6 +119,7 @@ def write_exr(
     Raises:
         BadInput: if there is no channel, shapes differ, a value is not finite or too large for half (65504),
             a name in ``float32`` is no channel, or the file cannot be written.
+        WorkFailed: if it cannot be written to its end, as on a full disk.
     """
     import OpenImageIO as oiio
 
@@ -144,27 +146,6 @@ def read_exr(path: Path | str) -> tuple[dict[str, NDArray[np.float32]], dict[str
     pixels, spec = _decode(path, oiio.ImageSpec(), only="openexr")
     planes = {name: np.ascontiguousarray(pixels[..., c]) for c, name in enumerate(spec.channelnames)}
     return planes, {name: value for name, value in _metadata(spec).items() if isinstance(value, str)}
-
-
-def check_end(path: Path | str) -> None:
-    """Prove that a file's last row can be read, for the end of a file can be lost without a word.
-
-    OpenImageIO does not report it when a full disk cuts off no more than its last buffer.
-
-    Raises:
-        WorkFailed: if the file is cut short.
-    """
-    import OpenImageIO as oiio
-
-    source = oiio.ImageInput.open(str(path))
-    whole = False
-    if source is not None:
-        spec = source.spec()
-        rows = source.read_scanlines(0, 0, spec.height - 1, spec.height, 0, 0, spec.nchannels, oiio.FLOAT)
-        whole = rows is not None and not source.geterror()
-        source.close()
-    if not whole:
-        raise WorkFailed(f"{path}: writing failed (the file is cut short)")
 
 
 def _decode(path: Path, hints: Any, only: str | None = None) -> tuple[NDArray[np.float32], Any]:
@@ -249,6 +230,28 @@ def _write(path: Path, spec: Any, pixels: NDArray[Any], metadata: Mapping[str, s
         done = target.open(str(partial), spec) and target.write_image(np.ascontiguousarray(pixels))
         if not (target.close() and done):
             raise WorkFailed(f"{path}: writing failed ({_one_line(target.geterror())})")
+        _check_end(partial, path)
+
+
+def _check_end(written: Path, path: Path) -> None:
+    """Prove that a file's last row can be read, for the end of a file can be lost without a word.
+
+    OpenImageIO does not report it when a full disk cuts off no more than its last buffer.
+    """
+    import OpenImageIO as oiio
+
+    source = oiio.ImageInput.open(str(written))
+    whole = False
+    if source is not None:
+        spec = source.spec()
+        rows = source.read_scanlines(0, 0, spec.height - 1, spec.height, 0, 0, spec.nchannels, oiio.FLOAT)
+        whole = rows is not None and not source.geterror()
+        source.close()
+    if written.suffix == ".png":
+        whole = whole and written.read_bytes().endswith(_PNG_END)
+    if not whole:
+        oiio.geterror()  # else it would be taken for the next file's
+        raise WorkFailed(f"{path}: writing failed (the file is cut short); is the disk full?")
 
 
 def _without_alpha(pixels: NDArray[np.float32], premultiplied: bool) -> NDArray[np.float32]:

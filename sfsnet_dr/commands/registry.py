@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from sfsnet_dr.commands.bench import BenchRelight, BenchSynth
 from sfsnet_dr.commands.faces import Relight, Show, Synth
 from sfsnet_dr.commands.lights import WorstLight
 from sfsnet_dr.commands.network import Decompose, Train
@@ -23,5 +24,7 @@ COMMANDS: Final[dict[str, tuple[type[Command], str]]] = {
     "validate": (Validate, "Measure the SH renderer against the path tracer"),
     "worst-light": (WorstLight, "Find the light under which the SH renderer is most wrong"),
     "stability": (Stability, "Put hard cases to every SH renderer and the loss"),
+    "bench synth": (BenchSynth, "Measure how fast faces are rendered"),
+    "bench relight": (BenchRelight, "Measure relit faces against path-traced ones"),
     "demo": (Demo, "Run the whole pipeline and write a report"),
 }

@@ -22,7 +22,6 @@ from sfsnet_dr.base import provenance
 from sfsnet_dr.base.atomic import atomic_path, output_dir
 from sfsnet_dr.base.checks import BadInput, WorkFailed
 from sfsnet_dr.base.config import as_dict, fingerprint
-from sfsnet_dr.base.imageio import check_end
 from sfsnet_dr.data.bundle import Bundle, BundleMeta, read_bundle, write_bundle
 from sfsnet_dr.data.manifest import NAME, Entry, Manifest
 from sfsnet_dr.data.workers import choose
@@ -134,7 +133,6 @@ def render_file(spec: SceneSpec, scratch: Path | None, seed: int) -> bytes:
         path = Path(folder) / face_file(seed)
         try:
             write_bundle(path, bundle)
-            check_end(path)
         except WorkFailed as error:
             raise BadInput(
                 f"{scratch or path.parent}: a bundle cannot be written, is the disk full? Free some space "

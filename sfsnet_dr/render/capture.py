@@ -103,14 +103,14 @@ def capture(
     pixels = covered_pixels(scene)
     stage = _stage(scene, pixels, samples, seed, options, toward)
     sizes = stage.sizes()
-    values = _to_image(_read(transport.trace(stage)), pixels, scene.camera.size)
-    parts = dict(zip(sizes, np.split(values, np.cumsum([*sizes.values()])[:-1], axis=-1), strict=True))
+    values = _to_images(transport.trace(stage), pixels, scene.camera.size)
+    parts = dict(zip(sizes, np.split(values, np.cumsum([*sizes.values()])[:-1]), strict=True))
     return Capture(
-        **_maps(parts["maps"] / samples),
+        **_maps(np.moveaxis(parts["maps"], 0, -1).astype(np.float64) / samples),
         transport=_by_colour(parts["transport"]),
-        gloss=np.moveaxis(parts["gloss"], -1, 0).astype(np.float32),
+        gloss=np.ascontiguousarray(parts["gloss"]),
         lamps=_by_colour(parts["lamps"]),
-        rays=int(parts["rays"].sum()),
+        rays=int(parts["rays"].sum(dtype=np.float64)),
     )
 
 
@@ -132,17 +132,16 @@ def _stage(
     )
 
 
-def _read(values: mi.ArrayXf) -> Array:
-    """Evaluated (values, lanes). One by one: to read all at once is a kernel for each number of lanes."""
+def _to_images(values: mi.ArrayXf, pixels: Indices, size: int) -> Image:
+    """Values of pixels as images (values, H, W), 0 elsewhere.
+
+    One by one: to read all at once is a kernel for each number of lanes.
+    """
     dr.eval(values)
-    return np.stack([np.asarray(value, dtype=np.float64) for value in values])
-
-
-def _to_image(values: Array, pixels: Indices, size: int) -> Array:
-    """(values, pixels) to (H, W, values), 0 elsewhere."""
-    image = np.zeros((size * size, len(values)))
-    image[pixels] = values.T
-    return image.reshape(size, size, len(values))
+    images = np.zeros((len(values), size * size), dtype=np.float32)
+    for image, value in zip(images, values, strict=True):
+        image[pixels] = np.asarray(value)
+    return images.reshape(len(values), size, size)
 
 
 def covered_pixels(scene: SurfaceScene) -> Indices:
@@ -177,10 +176,10 @@ def _maps(values: Array) -> dict[str, Any]:
     }
 
 
-def _by_colour(values: Array) -> Image:
-    """(H, W, 3 K) to (K, H, W, 3)."""
-    height, width, count = values.shape
-    return np.moveaxis(values.reshape(height, width, count // 3, 3), 2, 0).astype(np.float32)
+def _by_colour(values: Image) -> Image:
+    """(3 K, H, W) to (K, H, W, 3)."""
+    count, height, width = values.shape
+    return np.ascontiguousarray(np.moveaxis(values.reshape(count // 3, 3, height, width), 1, -1))
 
 
 def _by_tiles(size: int) -> Indices:

@@ -40,13 +40,11 @@ def _direction_numbers(degree: int, coefficients: int, first: tuple[int, ...]) -
     return [value << (31 - k) for k, value in enumerate(m)]
 
 
-#: Four dimensions; 2 to 4 from Joe and Kuo (2008): a polynomial's degree and coefficients, first numbers.
-_SOBOL = (
-    [1 << (31 - bit) for bit in range(_BITS)],
-    _direction_numbers(1, 0, (1,)),
-    _direction_numbers(2, 1, (1, 3)),
-    _direction_numbers(3, 1, (1, 3, 1)),
-)
+#: Third and fourth dimension, from Joe and Kuo (2008): a polynomial's degree and coefficients, first numbers.
+_SOBOL = (_direction_numbers(2, 1, (1, 3)), _direction_numbers(3, 1, (1, 3, 1)))
+
+#: Bits of a number to which those are added that lie 1, 2, 4 and 8 places above.
+_ABOVE = {1: 0x5555, 2: 0x3333, 4: 0x0F0F, 8: 0x00FF}
 
 
 def check_samples(name: str, samples: int) -> None:
@@ -136,17 +134,34 @@ def _stratified(
 
 
 def _sobol(pair: int, index: mi.UInt32, count: int, first: mi.UInt32, second: mi.UInt32) -> list[mi.Float]:
+    reversed_bits = _even_pair(index) if pair == 0 else _other_pair(index)
+    return [
+        _unit(dr.brev(_owen(bits, seed))) for bits, seed in zip(reversed_bits, (first, second), strict=True)
+    ]
+
+
+def _even_pair(index: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
+    """First and second dimension of Sobol's points, bits reversed.
+
+    The first is the number itself. The second one's matrix is Pascal's triangle modulo 2: bit j is the sum of
+    all bits whose places contain those of j in binary, which takes a step for each binary digit of j.
+    """
+    second = index
+    for shift, mask in _ABOVE.items():
+        second = second ^ ((second >> shift) & mask)  # not in place: that would change the first
+    return index, second
+
+
+def _other_pair(index: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
+    """Third and fourth dimension, bits reversed."""
     values = [mi.UInt32(0), mi.UInt32(0)]
     for bit in range(_BITS):
         chosen = (index & (1 << bit)) != 0
         values = [
             value ^ dr.select(chosen, mi.UInt32(column[bit]), 0)
-            for value, column in zip(values, _SOBOL[2 * pair :], strict=False)
+            for value, column in zip(values, _SOBOL, strict=True)
         ]
-    return [
-        _unit(dr.brev(_owen(dr.brev(value), seed)))
-        for value, seed in zip(values, (first, second), strict=True)
-    ]
+    return dr.brev(values[0]), dr.brev(values[1])
 
 
 def _owen(reversed_bits: mi.UInt32, seed: mi.UInt32) -> mi.UInt32:

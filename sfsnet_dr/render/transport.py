@@ -32,8 +32,6 @@ GLOSS_ORDER: Final = 2
 
 _UP = mi.ScalarVector3f(0.0, 0.0, 1.0)  # any direction, where one is needed and none is looked at
 
-_NEEDED = mi.RayFlags.Minimal | mi.RayFlags.ShadingFrame
-
 Hit: TypeAlias = mi.SurfaceInteraction3f
 
 
@@ -96,7 +94,8 @@ def trace(stage: Stage) -> mi.ArrayXf:
     step = mi.UInt32(0)
     while step < stage.sample_count:
         ray = camera_rays(stage.scene.camera, stage.pixel, stage.points.in_pixel(step, stage.samples))
-        hit = stage.scene.mi_scene.ray_intersect(ray, _NEEDED, coherent=True)
+        met = stage.scene.meet(ray, coherent=True)
+        hit = stage.scene.hit_at(ray, met, met.is_valid())
         at = Scatter(stage.scene, hit, hit.is_valid())
         sums += mi.ArrayXf(_first_point(stage, hit, at))
         path = mi.UInt32(0)
@@ -188,24 +187,36 @@ def _follow(
     escaped, bounce = mi.Bool(False), mi.UInt32(0)
     rays, collected = mi.Float(0.0), mi.Color3f(0.0)
     while active:
-        hit = stage.scene.mi_scene.ray_intersect(ray, _NEEDED, coherent=False, active=active)
-        found = active & hit.is_valid()
+        met = stage.scene.meet(ray, active)
+        found = active & met.is_valid()
         escaped |= active & ~found
         rays += dr.select(active, 1.0, 0.0)
         bounce += 1
-        at = Scatter(stage.scene, hit, found & (bounce <= stage.bounces))
-        active = at.active
-        if dr.hint(stage.lamp_count > 0, mode="scalar"):
-            value, traced = _lamp_value(stage, hit, at, lamp, active)
+        active = found & (bounce <= stage.bounces)
+        if active:  # at the end of most paths nothing is left to do for a whole vector of them
+            hit = stage.scene.hit_at(ray, met, active)
+            value, traced, factor, next_ray = _scatter(stage, hit, lamp, random, active)
             collected += weight * value
             rays += traced
-        lobe, point = random.next_float32(), mi.Point2f(random.next_float32(), random.next_float32())
-        toward, factor = at.leave(lobe, point)
-        weight = dr.select(active, weight * factor, weight)
-        ray = dr.select(active, hit.spawn_ray(hit.to_world(toward)), ray)
+            weight = weight * factor
+            ray = next_ray
         active &= dr.any(weight > 0.0)
     away = dr.select(escaped, ray.d, _UP)
     return _End(away, dr.select(escaped, weight, 0.0), escaped & (bounce == 1), collected, rays)
+
+
+def _scatter(
+    stage: Stage, hit: Hit, lamp: mi.UInt32, random: mi.PCG32, active: mi.Bool
+) -> tuple[mi.Color3f, mi.Float, mi.Color3f, mi.Ray3f]:
+    """At a further surface point: what its directional light gives and the rays that took, the share of light
+    that goes on, 0 from behind, and the ray it comes along."""
+    at = Scatter(stage.scene, hit, active)
+    value, traced = mi.Color3f(0.0), mi.Float(0.0)
+    if stage.lamp_count > 0:
+        value, traced = _lamp_value(stage, hit, at, lamp, at.active)
+    lobe, point = random.next_float32(), mi.Point2f(random.next_float32(), random.next_float32())
+    toward, factor = at.leave(lobe, point)
+    return value, traced, dr.select(at.active, factor, 0.0), hit.spawn_ray(hit.to_world(toward))
 
 
 def _times(order: int, away: mi.Vector3f, weight: mi.Color3f) -> list[mi.Float]:

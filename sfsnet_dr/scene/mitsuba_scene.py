@@ -76,6 +76,26 @@ class SurfaceScene:
         """The surface's BSDF itself: calls to it need no dispatch over the BSDFs of all scenes."""
         return self._surface.bsdf()
 
+    def meet(
+        self, ray: mi.Ray3f, active: mi.Bool | bool = True, *, coherent: bool = False
+    ) -> mi.PreliminaryIntersection3f:
+        """Where rays meet the surface first, if they do: what is needed to tell, and for ``hit_at``."""
+        return self.mi_scene.ray_intersect_preliminary(ray, coherent, active)
+
+    def hit_at(
+        self, ray: mi.Ray3f, met: mi.PreliminaryIntersection3f, active: mi.Bool
+    ) -> mi.SurfaceInteraction3f:
+        """Position, normal, shading frame, and the local direction that rays came from, where they met it.
+
+        As ``mi.Scene.ray_intersect``, but without dispatch: there is one surface.
+        """
+        flags = mi.RayFlags.Minimal | mi.RayFlags.ShadingFrame
+        hit = self._surface.compute_surface_interaction(ray, met, flags, active)
+        hit.t, hit.prim_index = dr.select(active, met.t, dr.inf), met.prim_index
+        hit.initialize_sh_frame()
+        hit.wi = hit.to_local(-ray.d)
+        return hit
+
     def albedo_at(self, hit: mi.SurfaceInteraction3f, active: mi.Bool) -> mi.Color3f:
         """Linear albedo at a hit."""
         return self._surface.eval_attribute_3(_ALBEDO, hit, active)

@@ -5,11 +5,15 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
+from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.data.bundle import write_bundle
 from sfsnet_dr.data.synth import render_bundle, render_file
 from sfsnet_dr.render.capture import Capture, CaptureOptions, capture
 from sfsnet_dr.render.plain import PlainRender, plain_render
@@ -20,42 +24,23 @@ from sfsnet_dr.scene.face import Face, sample_face
 from sfsnet_dr.scene.light_sources import sample_direction
 from sfsnet_dr.scene.lights import MAP_ORDER
 from sfsnet_dr.scene.mitsuba_scene import ENVIRONMENT_SIZE, SurfaceScene
-from sfsnet_dr.scene.spec import SceneSpec
+from sfsnet_dr.scene.spec import FACE_SHAPES, SceneSpec
 from sfsnet_dr.sh.basis import sh_basis
 from sfsnet_dr.sh.projection import equirect_directions
+from sfsnet_dr.study.capture_noise import noise_of, variances_of
 
 Array = npt.NDArray[np.float64]
 T = TypeVar("T")
+
+#: Parts of the measurement.
+STEPS = 4
 
 #: Captures that noise is estimated from.
 RUNS = 4
 #: Camera rays a pixel for which noise and time are measured, for every sampler.
 SAMPLE_COUNTS = (4, 16, 64)
 #: Paths a pixel of the plain way's renders; their noise is scaled from there.
-PLAIN_SAMPLES = 32
-
-
-@dataclass(frozen=True)
-class Noise:
-    """Noise of one capture, relative to the image that a white sky gives.
-
-    Attributes:
-        transport, gloss, lamps: root mean square over responses, face pixels and colours; gloss is 0 for a
-            surface without.
-    """
-
-    transport: float
-    gloss: float
-    lamps: float
-
-
-@dataclass(frozen=True)
-class Variances:
-    """Mean variance of the responses of each kind."""
-
-    transport: float
-    gloss: float
-    lamps: float
+PLAIN_SAMPLES = 16
 
 
 @dataclass(frozen=True)
@@ -103,10 +88,10 @@ class Bench:
 def bench_synth(
     spec: SceneSpec,
     *,
-    faces: int = 8,
+    faces: int = 6,
     seed: int = 0,
     command: str = "sfsnet-dr bench synth",
-    say: Callable[[str], None] = lambda line: None,
+    on_step: Callable[[], None] = lambda: None,
 ) -> list[Record]:
     """Measure bundles a second, noise against time, the ratio to the plain way and the share of the ray rate.
 
@@ -117,18 +102,21 @@ def bench_synth(
         faces: faces that bundles a second are measured on, after one that compiles.
         seed: of the first face.
         command: what the records say measured them.
-        say: is told what is going on.
+        on_step: called after each of ``STEPS`` parts.
+
+    Raises:
+        BadInput: for a scene without faces, or no face to measure on.
     """
-    found: dict[str, tuple[float, str]] = {}
-    say("complete bundles")
-    found |= _bundle_rate(spec, faces, seed)
+    if spec.shape not in FACE_SHAPES:
+        raise BadInput(f"{spec.name}: shape {spec.shape!r} found, one of {', '.join(FACE_SHAPES)} is needed")
+    if faces < 1 or seed < 0:
+        raise BadInput(f"bench synth: {faces} faces from seed {seed} found, at least 1 and 0 are needed")
+    found = _bundle_rate(spec, faces, seed)
+    on_step()
     bench = Bench.prepare(spec, seed)
-    say("noise of the samplers")
-    found |= _noise_against_time(bench)
-    say("the plain way")
-    found |= _against_plain(bench)
-    say("the limit of ray_test")
-    found |= _against_rays(bench)
+    for part in (_noise_against_time, _against_plain, _against_rays):
+        found |= part(bench)
+        on_step()
     return [
         measured(f"synth.{name}", value, unit, command=command, seed=seed)
         for name, (value, unit) in found.items()
@@ -136,19 +124,19 @@ def bench_synth(
 
 
 def _bundle_rate(spec: SceneSpec, faces: int, seed: int) -> dict[str, tuple[float, str]]:
-    """Wall time of whole bundles and of their parts."""
+    """Wall time of whole bundles, and of those of their parts that are not the transport."""
     data = render_file(spec, None, seed)  # loads the face model and compiles
     seconds = [_timed(lambda k=k: render_file(spec, None, seed + 1 + k))[1] for k in range(faces)]  # type: ignore[misc]
-    without = replace(spec, sampling=replace(spec.sampling, reference=2))
-    render_bundle(without, seed)
-    shorter = [_timed(lambda k=k: render_bundle(without, seed + 1 + k))[1] for k in range(faces)]  # type: ignore[misc]
-    shapes = [_timed(lambda k=k: sample_face(seed + 1 + k, spec))[1] for k in range(faces)]  # type: ignore[misc]
+    shapes = [_timed(lambda k=k: sample_face(seed + 1 + k, spec))[1] for k in range(3)]  # type: ignore[misc]
+    bundle = render_bundle(spec, seed)
+    with TemporaryDirectory() as folder:
+        files = [_timed(lambda: write_bundle(Path(folder) / "face.exr", bundle))[1] for _ in range(3)]
     return {
         "bundles_per_s": (len(seconds) / sum(seconds), "1/s"),
         "bundle_bytes": (len(data), "B"),
         "seconds.bundle": (float(np.median(seconds)), "s"),
-        "seconds.bundle_without_reference_and_file": (float(np.median(shorter)), "s"),
         "seconds.sample_face": (float(np.median(shapes)), "s"),
+        "seconds.write_file": (float(np.median(files)), "s"),
     }
 
 
@@ -167,30 +155,6 @@ def _noise_against_time(bench: Bench) -> dict[str, tuple[float, str]]:
     return found
 
 
-def noise_of(captures: list[Capture]) -> Noise:
-    """Noise of one capture, estimated from several."""
-    white = np.mean([maps.transport[0] for maps in captures], axis=0)[captures[0].mask > 0]
-    scale = float(np.sqrt(np.mean(white**2)))
-    spread = variances_of(captures)
-    return Noise(*(float(np.sqrt(value)) / scale for value in (spread.transport, spread.gloss, spread.lamps)))
-
-
-def variances_of(captures: list[Capture]) -> Variances:
-    """Mean variance over face pixels, colours and the responses of a kind."""
-    mask = captures[0].mask > 0
-
-    def mean_variance(images: list[npt.NDArray[np.float32]]) -> float:
-        if not len(images[0]):
-            return 0.0
-        return float(np.var(np.stack(images, dtype=np.float64), axis=0, ddof=1)[:, mask].mean())
-
-    return Variances(
-        mean_variance([maps.transport for maps in captures]),
-        mean_variance([maps.gloss for maps in captures]),
-        mean_variance([maps.lamps for maps in captures]),
-    )
-
-
 def _against_plain(bench: Bench) -> dict[str, tuple[float, str]]:
     """Time of the plain way at the same noise, and at the same number of paths, over that of a capture.
 
@@ -205,7 +169,7 @@ def _against_plain(bench: Bench) -> dict[str, tuple[float, str]]:
     _, exchange = _timed(lambda: bench.scene.set_mesh(bench.face.mesh))
     depth, paths = sampling.bounces + 2, sampling.transport * sampling.paths
     basis = sh_basis(equirect_directions(*ENVIRONMENT_SIZE), MAP_ORDER)
-    equal_noise, equal_paths = load, load
+    equal_noise, equal_paths, needed_transport = load, load, []
     groups = [(scene, basis, depth, ours.transport)]
     if scene.gloss:
         groups.append((_mirror(bench), basis[..., :9], 2, ours.gloss))
@@ -215,6 +179,8 @@ def _against_plain(bench: Bench) -> dict[str, tuple[float, str]]:
             parts = [part for part in parts if part.any()]
             runs = [_plain(surface, part, mask, deepest) for part in parts]
             needed = sum(run.variance for run in runs) * len(runs) / variance
+            if surface is scene:
+                needed_transport.append(needed)
             equal_noise += _seconds_for(runs, needed)
             equal_paths += _seconds_for(runs, paths)
     for direction in bench.directions:
@@ -224,7 +190,9 @@ def _against_plain(bench: Bench) -> dict[str, tuple[float, str]]:
         run = plain_render(lit, mask, PLAIN_SAMPLES, depth)
         equal_noise += _seconds_for([run], run.variance / ours.lamps)
         equal_paths += _seconds_for([run], sampling.transport)
+    noise = noise_of(captures).transport
     return {
+        "noise.transport.plain": (noise * float(np.sqrt(np.mean(needed_transport) / paths)), "1"),
         "seconds.capture": (seconds, "s"),
         "seconds.exchange_mesh": (exchange, "s"),
         "seconds.load_scene": (load, "s"),
@@ -265,7 +233,7 @@ def _against_rays(bench: Bench) -> dict[str, tuple[float, str]]:
     for _ in range(3):
         captures, seconds = bench.captures(sampling.transport)
         rates.append(captures[0].rays / seconds)
-        limits.append(bare_ray_tests(bench.scene, 32))
+        limits.append(bare_ray_tests(bench.scene, 32, repeats=3))
     times = kernel_times(
         lambda: capture(bench.scene, sampling.transport, 0, bench.options(), bench.directions)
     )
@@ -277,6 +245,7 @@ def _against_rays(bench: Bench) -> dict[str, tuple[float, str]]:
         "rays_per_s": (rate, "rays/s"),
         "rays_per_s.ray_test": (limit, "rays/s"),
         "share.ray_rate": (rate / limit, "1"),
+        "seconds.rays_at_the_limit": (captures[0].rays / limit, "s"),
         "seconds.kernel.paths": (largest.seconds, "s"),
         "seconds.kernel.coverage": (sum(k.seconds for k in times) - largest.seconds, "s"),
         "seconds.outside_kernels": (max(whole - sum(k.seconds for k in times), 0.0), "s"),
