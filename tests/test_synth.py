@@ -323,4 +323,4 @@ def test_the_command_builds_the_scene() -> None:
     assert Synth(out).spec() == load_scene(ROOT / "scenes" / "faces.toml")
     spec = Synth(out, face_model="ict", model_path=Path("ict.npz")).spec()
     assert (spec.shape, spec.model_path) == ("ict", "ict.npz")
-    assert Synth(out, scene=ROOT / "scenes" / "head.toml").spec().name == "head"
+    assert Synth(out, scene=ROOT / "scenes" / "validation" / "head.toml").spec().name == "head"
