@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from sfsnet_dr.base.atomic import atomic_path, output_dir
-from sfsnet_dr.report.figures import TimedError, error_vs_time
 from sfsnet_dr.report.html import Figure, KeyNumbers, Section, Table, write_page
+from sfsnet_dr.report.noise_figure import noise_plot
 from sfsnet_dr.report.record import Record, write_records
 
 #: Names of the samplers on the plot.
@@ -18,7 +18,7 @@ def write_bench(out: Path | str, records: Sequence[Record]) -> None:
     """Write ``records.json``, ``noise.png`` and ``index.html`` into a folder."""
     folder = output_dir(out)
     value = {record.what.removeprefix("synth."): record.value for record in records}
-    plot = noise_plot(value)
+    plot = noise_plot(_lines(value), label="relative noise")
     write_records(folder / "records.json", records)
     with atomic_path(folder / "noise.png") as partial:
         partial.write_bytes(plot)
@@ -29,7 +29,8 @@ def write_bench(out: Path | str, records: Sequence[Record]) -> None:
     caption = (
         "Noise of the transport against the time of one face's whole transport, for several samplers and "
         "numbers of camera rays a pixel. Down and to the left is better. Noise is relative to the image that "
-        "a white sky gives. Far right: one render for each light, with as many paths as Sobol at 16."
+        "a white sky gives. The point that stands alone: one render for each light, with as many paths as "
+        "the scene asks for."
     )
     numbers = [
         (f"{value['bundles_per_s']:.2f} /s", "complete bundles"),
@@ -45,22 +46,22 @@ def write_bench(out: Path | str, records: Sequence[Record]) -> None:
     write_page(folder / "index.html", "How fast faces are rendered", lead, sections, footer=footer)
 
 
-def noise_plot(value: Mapping[str, float]) -> bytes:
-    """Noise against time from values by name, as a PNG."""
-    points = []
+def _lines(value: Mapping[str, float]) -> dict[str, list[tuple[float, float, str]]]:
+    """Seconds, noise and camera rays a pixel of every sampler, and of the plain way."""
+    lines = {}
     for sampler, name in _SAMPLERS.items():
         counts = [key.rsplit(".", 1)[1] for key in value if key.startswith(f"noise.transport.{sampler}.")]
-        points += [
-            TimedError(
+        keys = [f"{sampler}.{count}" for count in counts]
+        lines[name] = [
+            (
+                value[f"seconds.capture.{key}"],
+                value[f"noise.transport.{key}"],
                 count if sampler == "sobol" else "",
-                name,
-                value[f"seconds.capture.{sampler}.{count}"],
-                value[f"noise.transport.{sampler}.{count}"],
             )
-            for count in counts
+            for key, count in zip(keys, counts, strict=True)
         ]
-    plain = (value["seconds.plain.same_paths"], value["noise.transport.plain"])
-    return error_vs_time([*points, TimedError("", "a render a light", *plain)], error_label="relative noise")
+    plain = (value["seconds.plain.same_paths"], value["noise.transport.plain"], "")
+    return lines | {"one render for each light": [plain]}
 
 
 def _bundle_table(value: Mapping[str, float]) -> Table:
