@@ -11,7 +11,7 @@ OUT ?= out/demo
 PYTHON_CYCLES ?= python3.11
 CYCLES := .venv-cycles
 
-.PHONY: demo test test-all lint format setup cycles clean
+.PHONY: validation demo test test-all lint format setup cycles clean
 
 demo: $(READY)
 	$(BIN)/sfsnet-dr demo --out $(OUT)
@@ -21,6 +21,13 @@ test: $(READY)
 
 test-all: $(READY)
 	$(BIN)/python -m pytest
+
+# All validation scenes, and the stored results that README quotes; about half an hour on 2 cores.
+validation: $(READY)
+	$(BIN)/sfsnet-dr validate --scene all --out out/validation
+	cp out/validation/records.json eval/results/validate.json
+	cp out/validation/errors.csv eval/results/validate.csv
+	cp out/validation/head/pareto.png eval/results/pareto.png
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -11,7 +11,7 @@ from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.base.color import LUMINANCE
 from sfsnet_dr.base.imageio import write_exr
 from sfsnet_dr.scene.equirect import MAP_SIZE
-from sfsnet_dr.scene.light_sets import EXPOSURE, directional, light_set, light_sets, require_light
+from sfsnet_dr.scene.light_sets import EXPOSURE, describe, directional, light_set, light_sets, require_light
 from sfsnet_dr.scene.lights import SceneLight
 from sfsnet_dr.sh.kernel import band_of
 
@@ -27,6 +27,8 @@ def test_all_lights_have_their_names_and_one_exposure() -> None:
     for light in lights:
         assert light.face_shading() @ LUMINANCE == pytest.approx(EXPOSURE, rel=1e-9)
         assert require_light(light) is light
+        assert "map" not in describe(light)
+        assert "lamps" not in describe(light)
 
 
 def test_sets_and_single_lights_combine_in_a_fixed_order() -> None:
@@ -59,6 +61,7 @@ def test_a_directional_light_stands_where_its_name_says(angle: int) -> None:
 def test_maps_of_a_folder_join(tmp_path: Path) -> None:
     write_exr(tmp_path / "My Room-2.exr", dict.fromkeys("RGB", np.ones((16, 32), np.float32)), {})
     assert [x.name for x in light_set("environments", tmp_path)][-1] == "map_my_room_2"
+    assert describe(light_set("map_my_room_2", tmp_path)[0]) == "a map"
     assert light_set("map_my_room_2", tmp_path)[0].coefficients(0).values[0, 0] > 0
     write_exr(tmp_path / "my_room 2.exr", dict.fromkeys("RGB", np.ones((16, 32), np.float32)), {})
     with pytest.raises(BadInput, match="two environment maps named 'map_my_room_2'"):

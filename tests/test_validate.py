@@ -137,7 +137,7 @@ def test_the_sentence_names_the_cheapest_within_the_tolerance(study: Study) -> N
     assert quick is not None
     assert quick.error <= 0.08
     assert all(c.error > 0.08 for c in candidates(study) if c.seconds < quick.seconds)
-    assert "No rung stays within 1e-06 %" in sentence(study, 1e-8)
+    assert "No model stays within 1e-06 %" in sentence(study, 1e-8)
     assert f"under all 4 lights is {quick.name}: " in sentence(study, 0.08)
 
 

@@ -97,6 +97,24 @@ def require_light(light: SceneLight) -> SceneLight:
     return light
 
 
+def describe(light: SceneLight) -> str:
+    """What a light of a set is, in a few words; for others, what they are made of."""
+    word = light.name.rstrip("0123456789")
+    number = light.name[len(word) :]
+    known = {
+        "constant": "the same from everywhere",
+        "band": f"a constant and SH band {number}",
+        "natural": "soft lobes over a dome",
+        "studio": "three panels in a dim room",
+        "overcast": "sky behind clouds",
+        "directional": f"one lamp, {number} degrees off the viewer",
+        "sun_sky": "clear sky with its sun",
+        "two_colours": "a warm and a cool lamp",
+    }
+    made_of = [*["a map"] * (light.environment is not None), *["lamps"] * bool(light.directional)]
+    return known.get(word, " and ".join(made_of))
+
+
 def constant() -> SceneLight:
     """The same radiance from everywhere: order 0 holds all of it."""
     return SceneLight("constant", np.ones((*MAP_SIZE, 3))).exposed(EXPOSURE)

@@ -12,6 +12,7 @@ from sfsnet_dr.report.figures import error_map, signed_colours
 from sfsnet_dr.report.html import Block, Figure, Gallery, KeyNumbers, Section, write_page
 from sfsnet_dr.report.pareto import pareto_plot
 from sfsnet_dr.report.record import Record
+from sfsnet_dr.scene.light_sets import describe
 from sfsnet_dr.study.ladder import LightResult
 from sfsnet_dr.study.validate_tables import (
     causes_table,
@@ -32,6 +33,7 @@ def write_study_page(path: Path, study: Study, tolerance: float, record: Record)
     scene = study.ladder.name.replace("_", " ")
     sections = [
         Section("In short", [_key_numbers(study), _explained(study)]),
+        Section("The lights", [_lights(study)]),
         Section("Error against time", _pareto_blocks(study)),
         Section("Every model under every light", [models_table(study)]),
         Section("Why order 2 is wrong", [causes_table(study, _PAPER), *_pictures(study)]),
@@ -83,6 +85,20 @@ def error_maps(study: Study) -> dict[str, bytes]:
         for result in study.ladder.results
         for rung in study.rungs
     }
+
+
+def _lights(study: Study) -> Gallery:
+    mask = study.ladder.known.mask
+    pictures = [
+        (
+            png_bytes(on_white(show_linear(result.truth.mean), mask)),
+            f"{result.light.name}: {describe(result.light)}",
+        )
+        for result in study.ladder.results
+    ]
+    return Gallery(
+        pictures, "The truth under every light of this run, all exposed alike. White is not counted."
+    )
 
 
 def _key_numbers(study: Study) -> KeyNumbers:

@@ -26,15 +26,15 @@ def models_table(study: Study) -> Table:
         timed = row.key in study.times
         natural = [_interval(pooled(study, row.key, study.natural)) if timed else ""] if study.natural else []
         time = duration(study.times[row.key].warm.total) if timed else "\u2013"
-        rows.append([_unbroken(row.name), *natural, *cells, time, _crossover(study, row.key)])
+        rows.append([_unbroken(row.name), time, _crossover(study, row.key), *natural, *cells])
     for k, path in enumerate(results[0].paths):
         cells = [percent(result.paths[k].noise) for result in results]
         seconds = float(np.median([result.paths[k].seconds for result in results]))
         natural = [""] if study.natural else []
-        rows.append([_unbroken(f"{path.samples} paths (noise)"), *natural, *cells, duration(seconds), ""])
+        rows.append([_unbroken(f"{path.samples} paths (noise)"), duration(seconds), "", *natural, *cells])
     mean = ["natural (interval)"] if study.natural else []
     return Table(
-        ["model", *mean, *(result.light.name for result in results), "time", "N*"],
+        ["model", "time", "N*", *mean, *(result.light.name for result in results)],
         rows,
         "Relative RMS errors. The interval (95 %) is over blocks of pixels. Rows that begin with `path "
         "traced` are the path tracer with something left out and without its noise: no cheaper model of "
@@ -169,10 +169,9 @@ def renderers_table(study: Study) -> Table:
 
 def percent(error: float) -> str:
     """A ratio in % with two digits."""
-    if error == 0:
-        return "0 %"
-    digits = max(0, 1 - math.floor(math.log10(100 * abs(error))))
-    return f"{100 * error:.{min(digits, 2)}f} %"
+    value = float(f"{100 * error:.2g}")
+    digits = 0 if value == 0 else min(max(0, 1 - math.floor(math.log10(abs(value)))), 2)
+    return f"{value:.{digits}f} %"
 
 
 def _unbroken(text: str) -> str:

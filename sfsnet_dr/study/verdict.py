@@ -130,7 +130,7 @@ def sentence(study: Study, tolerance: float) -> str:
     if best is None:
         near = min(candidates(study), key=lambda candidate: candidate.error)
         return (
-            f"No rung stays within {allowed} on the scene {scene} under {lights}: the nearest is "
+            f"No model stays within {allowed} on the scene {scene} under {lights}: the nearest is "
             f"{near.name}, with a relative RMS error of {_percent(near.error)} under {near.light}."
         )
     if best.path:
@@ -140,7 +140,7 @@ def sentence(study: Study, tolerance: float) -> str:
             f"({best.light})."
         )
     return (
-        f"The cheapest rung within {allowed} on the scene {scene} under {lights} is {best.name}: a relative "
+        f"The cheapest model within {allowed} on the scene {scene} under {lights} is {best.name}: a relative "
         f"RMS error of at most {_percent(best.error)} ({best.light}) in {duration(best.seconds)} an image, "
         f"after {duration(best.once)} of capture once a subject."
     )
