@@ -189,6 +189,9 @@ def test_the_command_writes_records_a_table_and_a_page(tmp_path: Path) -> None:
     low, high = names["worst_light.two_spheres.signed"].interval or (0, 0)
     assert low <= names["worst_light.two_spheres.signed"].value <= high
     assert len(records) == len(names)
+    lights = json.loads((tmp_path / "lights.json").read_text())
+    assert len(lights["signed"]["radiance"]) == len(lights["non_negative"]["radiance"]) == 25
+    assert np.linalg.norm(lights["directional"]["direction"]) == pytest.approx(1.0)
     assert len((tmp_path / "directions.csv").read_text().splitlines()) == 43
     page = (tmp_path / "index.html").read_text()
     assert "On the two spheres, order-2" in page

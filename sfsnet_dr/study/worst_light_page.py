@@ -19,7 +19,8 @@ from sfsnet_dr.study.worst_light import DIMMEST, Shown, WorstLight
 
 Array = npt.NDArray[np.float64]
 
-_COLOURS = ("red", "green", "blue")
+#: Names of the channels.
+COLOURS = ("red", "green", "blue")
 
 
 def write_worst_light_page(path: Path, found: WorstLight, versions: Mapping[str, str]) -> None:
@@ -117,7 +118,9 @@ def _directions(found: WorstLight) -> Section:
             "defined for light from behind too.",
         ),
     ]
-    blocks = [*maps, _pictures(found, found.directional, "The worst directional light.")]
+    x, y, z = found.direction
+    caption = f"The worst directional light, from ({x:.2f}, {y:.2f}, {z:.2f}): right, up, toward the viewer."
+    blocks = [*maps, _pictures(found, found.directional, caption)]
     return Section("Under one directional light", [*blocks, _confirmed(found.directional)])
 
 
@@ -135,8 +138,8 @@ def _mixtures(found: WorstLight) -> Section:
     lights = ((found.own.signed, found.signed), (found.own.non_negative, found.non_negative))
     for text, (light, shown) in zip(texts, lights, strict=True):
         more = (
-            f" It stands in the {_COLOURS[light.colour]} channel alone, for no coloured light is worse. Its "
-            f"image is {_percent(light.brightness)} as bright as the brightest of a light of the same energy."
+            f" It stands in the {COLOURS[light.colour]} channel alone, for no coloured light is worse. Its "
+            f"image is {_percent(light.brightness)} as bright as light of its energy can be."
         )
         blocks += [_pictures(found, shown, text + more), _coefficients(light), _confirmed(shown)]
     return Section("Under any light of order 4", blocks)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +18,7 @@ from sfsnet_dr.scene.validation_scenes import load_subject_by_name
 from sfsnet_dr.study.light_answers import Effort
 from sfsnet_dr.study.light_prior import mean, p95
 from sfsnet_dr.study.worst_light import LIGHTS, WorstLight, steps, study
-from sfsnet_dr.study.worst_light_page import write_worst_light_page
+from sfsnet_dr.study.worst_light_page import COLOURS, write_worst_light_page
 
 
 def worst_light(
@@ -29,7 +31,7 @@ def worst_light(
     seed: int = 0,
     command: str = "sfsnet-dr worst-light",
 ) -> list[Record]:
-    """Study a scene and write ``records.json``, ``directions.csv`` and ``index.html``.
+    """Study a scene and write ``records.json``, ``lights.json``, ``directions.csv`` and ``index.html``.
 
     Args:
         scene: name of a validation scene, or a file.
@@ -49,6 +51,7 @@ def worst_light(
         found = study(subject, effort, order=order, lights=lights, seed=seed, step=step)
     records = worst_light_records(found, command, seed)
     write_records(folder / "records.json", records)
+    write_text(folder / "lights.json", json.dumps(found_lights(found), indent=2) + "\n")
     write_text(folder / "directions.csv", to_csv(found))
     write_worst_light_page(folder / "index.html", found, records[0].versions)
     return records
@@ -84,6 +87,16 @@ def worst_light_records(found: WorstLight, command: str, seed: int) -> list[Reco
         add(f"{prefix}prior.mean", mean(result.prior), interval=found.prior_interval(order, mean))
         add(f"{prefix}prior.p95", p95(result.prior), interval=found.prior_interval(order, p95))
     return records
+
+
+def found_lights(found: WorstLight) -> dict[str, dict[str, Any]]:
+    """The worst lights: channel and 25 radiance coefficients, or a unit vector toward the light."""
+    mixed = {"signed": found.own.signed, "non_negative": found.own.non_negative}
+    lights: dict[str, dict[str, Any]] = {
+        name: {"channel": COLOURS[worst.colour], "radiance": [float(value) for value in worst.light]}
+        for name, worst in mixed.items()
+    }
+    return lights | {"directional": {"direction": [float(value) for value in found.direction]}}
 
 
 def to_csv(found: WorstLight) -> str:
