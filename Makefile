@@ -11,7 +11,7 @@ OUT ?= out/demo
 PYTHON_CYCLES ?= python3.11
 CYCLES := .venv-cycles
 
-.PHONY: validation demo test test-all lint format setup cycles clean
+.PHONY: validation bench demo test test-all lint format setup cycles clean
 
 demo: $(READY)
 	$(BIN)/sfsnet-dr demo --out $(OUT)
@@ -28,6 +28,13 @@ validation: $(READY)
 	cp out/validation/records.json eval/results/validate.json
 	cp out/validation/errors.csv eval/results/validate.csv
 	cp out/validation/head/pareto.png eval/results/pareto.png
+
+# Speed of the factory (alone on the machine: minutes) and its truth (half an hour); ENVIRONMENTS=DIR adds maps.
+bench: $(READY)
+	$(BIN)/sfsnet-dr bench synth --out out/bench-synth
+	cp out/bench-synth/records.json eval/results/synth.json
+	$(BIN)/sfsnet-dr bench relight --out out/bench-relight $(if $(ENVIRONMENTS),--environments $(ENVIRONMENTS))
+	cp out/bench-relight/records.json eval/results/relight.json
 
 lint: $(READY)
 	$(BIN)/ruff check .
