@@ -118,6 +118,16 @@ def test_exr_there_and_back(tmp_path: Path) -> None:
         np.testing.assert_array_equal(found[name], planes[name].astype(np.float16).astype(np.float32))
 
 
+@pytest.mark.parametrize("float32", [(), ("a",), ("a", "b")])
+def test_exr_channels_have_the_precision_that_was_asked_for(tmp_path: Path, float32: tuple[str, ...]) -> None:
+    third = np.full((2, 2), 1 / 3, dtype=np.float32)
+    write_exr(tmp_path / "a.exr", {"a": third, "b": third}, {}, float32)
+    found, _ = read_exr(tmp_path / "a.exr")
+    for name in ("a", "b"):
+        kept = third if name in float32 else third.astype(np.float16).astype(np.float32)
+        np.testing.assert_array_equal(found[name], kept)
+
+
 def test_exr_bytes_depend_on_the_content_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither on the hour nor on the order of the channels."""
     planes = {"b": np.ones((2, 2)), "a": np.zeros((2, 2))}

@@ -126,7 +126,9 @@ def write_exr(
     planes = {name: np.asarray(channels[name], dtype=np.float32) for name in channels}
     _check_planes(path, planes, float32)
     height, width = next(iter(planes.values())).shape
-    spec = oiio.ImageSpec(width, height, len(planes), oiio.HALF)
+    # OpenImageIO reads the formats of single channels only where they differ.
+    common = oiio.FLOAT if set(float32) == set(planes) else oiio.HALF
+    spec = oiio.ImageSpec(width, height, len(planes), common)
     spec.channelnames = tuple(planes)
     spec.channelformats = tuple(oiio.TypeDesc("float" if name in float32 else "half") for name in planes)
     spec.attribute("compression", "zip")
