@@ -8,6 +8,7 @@ from sfsnet_dr.commands.bench import BenchRelight, BenchSynth
 from sfsnet_dr.commands.faces import Relight, Show, Synth
 from sfsnet_dr.commands.lights import WorstLight
 from sfsnet_dr.commands.network import Decompose, Train
+from sfsnet_dr.commands.regression import Regress
 from sfsnet_dr.commands.result import Command
 from sfsnet_dr.commands.stability import Stability
 from sfsnet_dr.commands.start import Demo, Doctor
@@ -26,5 +27,6 @@ COMMANDS: Final[dict[str, tuple[type[Command], str]]] = {
     "stability": (Stability, "Put hard cases to every SH renderer and the loss"),
     "bench synth": (BenchSynth, "Measure how fast faces are rendered"),
     "bench relight": (BenchRelight, "Measure relit faces against path-traced ones"),
+    "regress": (Regress, "Hold every renderer to what it should show"),
     "demo": (Demo, "Run the whole pipeline and write a report"),
 }

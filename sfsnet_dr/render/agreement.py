@@ -161,15 +161,17 @@ def two_sided_p(z: Array) -> Array:
 
 
 def _moderated(image: Estimate, reference: Estimate) -> tuple[Array, float]:
-    """The image's variances moderated by the reference's, or by their neighbours', and their freedom.
+    """The image's variances moderated by the reference's, or by their own, and their freedom.
 
-    Scores then take the smaller freedom of image and reference: Welch's is itself estimated, and so far out
-    in the tail an estimate that is too good fails.
+    A pixel is expected to be at least as noisy as the 3 x 3 around it: at an edge a rare ray may have missed
+    a pixel in all samples of the reference. Scores then take the smaller freedom of image and reference:
+    Welch's is itself estimated, and so far out in the tail an estimate that is too good fails.
     """
     from scipy.ndimage import uniform_filter
 
-    noisy = bool(reference.variance.any())
-    expected = reference.variance if noisy else uniform_filter(image.variance, size=(3, 3, 1))
+    known = reference.variance if reference.variance.any() else image.variance
+    around = np.maximum(uniform_filter(known, size=(3, 3, 1)), 0.0)
+    expected = np.maximum(reference.variance, around)
     return moderated(image.variance, image.freedom, expected)
 
 

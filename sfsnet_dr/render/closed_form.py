@@ -34,7 +34,7 @@ _FACET_ANGLE: Final = np.pi / 96
 #: Pixels by which an edge may lie elsewhere than the formula has it, as few samples find it.
 _EDGE: Final = 0.01
 _ROUNDING: Final = 2e-5  # relative; a path's product in float32
-_INSIDE, _AT_EDGE = 4, 32  # samples along a pixel's edge, in pixels that are covered wholly and partly
+_INSIDE, _AT_EDGE = 4, 16  # samples along a pixel's edge, in pixels that are covered wholly and partly
 
 
 @dataclass(frozen=True, eq=False)

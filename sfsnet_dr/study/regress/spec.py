@@ -1,0 +1,116 @@
+"""What is compared: scenes, lights and renderers, as ``eval/regress.toml`` says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import sfsnet_dr
+from sfsnet_dr.base.checks import BadInput, nearest
+from sfsnet_dr.base.config import load_toml
+from sfsnet_dr.scene.spec import SamplingSpec, SceneSpec
+from sfsnet_dr.scene.validation_scenes import load_spec_by_name
+
+#: Where the matrix and its references lie in a checkout.
+FOLDER: Final = Path(sfsnet_dr.__file__).parents[1] / "eval"
+CONFIG: Final = FOLDER / "regress.toml"
+REFERENCES: Final = FOLDER / "references"
+
+#: Rays behind the SH renderers' maps and transport: enough that one 8 x 8 block is known to .3 %.
+_SAMPLING: Final = SamplingSpec(transport=64, paths=4)
+
+
+@dataclass(frozen=True)
+class SceneLights:
+    """A scene and the lights that it is compared under, by name."""
+
+    scene: str
+    lights: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class RegressSpec:
+    """The matrix.
+
+    Attributes:
+        scenes: what is rendered.
+        renderers: who renders it, where nobody says otherwise; renderers of other packages come on top.
+        size: width and height of the images.
+        seeds: images of each renderer; their spread says how noisy it is.
+        samples: paths a pixel in each of them.
+        level: chance that a run in which nothing is wrong fails.
+        reference_samples: paths a pixel of a reference.
+        reference_maps: camera rays a pixel of the maps that shading models are held to.
+    """
+
+    scenes: tuple[SceneLights, ...]
+    renderers: tuple[str, ...]
+    size: int = 64
+    seeds: int = 8
+    samples: int = 32
+    level: float = 0.01
+    reference_samples: int = 4096
+    reference_maps: int = 4096
+
+    def scene(self, name: str) -> SceneSpec:
+        """A scene at the size and with the sampling of the matrix."""
+        spec = load_spec_by_name(name)
+        return replace(spec, camera=replace(spec.camera, size=self.size), sampling=_SAMPLING)
+
+
+def read_spec(path: Path | str) -> RegressSpec:
+    """Read and check a matrix.
+
+    Raises:
+        BadInput: naming the file and key, what was found and what is allowed.
+    """
+    spec = load_toml(RegressSpec, path)
+    limits = {
+        "size": (spec.size, 16, 512),
+        "seeds": (spec.seeds, 3, 64),
+        "samples": (spec.samples, 2, 65536),
+        "level": (spec.level, 1e-9, 0.5),
+        "reference_samples": (spec.reference_samples, 64, 1 << 20),
+        "reference_maps": (spec.reference_maps, 64, 1 << 16),
+        "scenes": (len(spec.scenes), 1, 1000),
+    }
+    for key, (value, low, high) in limits.items():
+        if not low <= value <= high:
+            raise BadInput(f"{path}: {key}: {value} found, {low} to {high} allowed")
+    return spec
+
+
+def chosen(spec: RegressSpec, scenes: str | None, lights: str | None, renderers: str | None) -> RegressSpec:
+    """The part of a matrix that was asked for, by names with commas between.
+
+    A light may be asked for that the matrix does not have for a scene; renderers need not be in it at all.
+
+    Raises:
+        BadInput: for a scene or light that the matrix lacks, with the nearest one.
+    """
+    pairs = spec.scenes
+    if scenes is not None:
+        wanted = _names(scenes, [pair.scene for pair in pairs], "scene")
+        pairs = tuple(pair for pair in pairs if pair.scene in wanted)
+    if lights is not None:
+        wanted = _names(lights, [light for pair in pairs for light in pair.lights], "light")
+        kept = (SceneLights(p.scene, tuple(x for x in p.lights if x in wanted)) for p in pairs)
+        pairs = tuple(pair for pair in kept if pair.lights)
+    names = spec.renderers if renderers is None else tuple(_split(renderers))
+    return replace(spec, scenes=pairs, renderers=names)
+
+
+def _names(text: str, known: list[str], kind: str) -> list[str]:
+    names = _split(text)
+    for name in names:
+        if name not in known:
+            raise BadInput(f"{kind} {name!r}: not in the matrix; {nearest(name, set(known))}")
+    return names
+
+
+def _split(text: str) -> list[str]:
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    if not names:
+        raise BadInput(f"{text!r} found, names with commas between are needed")
+    return list(dict.fromkeys(names))
