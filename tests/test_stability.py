@@ -32,7 +32,8 @@ def test_every_form_passes_in_float32(case: Case) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 def test_every_form_passes(case: Case) -> None:
-    outcomes = [judge(form, case, dtype) for form in (*FORMS, *STRICT_FORMS) for dtype in DTYPES]
+    outcomes = [judge(form, case, dtype) for form in FORMS for dtype in DTYPES]
+    outcomes += [judge(form, case, "float32") for form in STRICT_FORMS]
     assert [o.problem for o in outcomes if o.problem] == []
 
 
@@ -134,7 +135,7 @@ for name in sys.argv[2:]:
 def test_the_command_writes_records_table_and_page(tmp_path: Path) -> None:
     found, records = study.stability(tmp_path, "axes and the poles")
     assert found.cases == 1
-    assert found.checks == len(FORMS + STRICT_FORMS) * len(DTYPES)
+    assert found.checks == len(FORMS) * len(DTYPES) + len(STRICT_FORMS)
     assert found.failures() == []
     values = {record.what: record.value for record in records}
     assert values["stability.cases"] == 1

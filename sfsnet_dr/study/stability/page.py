@@ -20,8 +20,9 @@ _HOW = (
     "A cell gives the worst error of the value, then of the gradients, in units in the last place (ulp): the "
     "distance between neighbouring numbers of the result's own type, at the largest magnitude that this "
     "light and albedo can give. So a value that cancels to 0 is not asked for digits that no float32 "
-    "computation has. The worst over the three types of inputs is shown; Dr.Jit's cells also cover its "
-    "FastMath flag switched off. `cases.csv` beside this page has every single number, relative errors too.",
+    "computation has. The worst over the three types of inputs is shown; Dr.Jit's cells also cover "
+    "float32 with its FastMath flag switched off. `cases.csv` beside this page has every single "
+    "number, relative errors too.",
 )
 
 _COLUMNS = {

@@ -45,4 +45,4 @@ class ProcessCase:
     jit_only: bool = False
     differentiable_only: bool = False
     alone: bool = False
-    limit: float = 120.0
+    limit: float = 240.0
