@@ -28,6 +28,8 @@ validation: $(READY)
 	cp out/validation/records.json eval/results/validate.json
 	cp out/validation/errors.csv eval/results/validate.csv
 	cp out/validation/head/pareto.png eval/results/pareto.png
+	$(BIN)/sfsnet-dr stability --out out/stability
+	cp out/stability/records.json eval/results/stability.json
 
 # Speed of the factory (alone on the machine: minutes) and its truth (half an hour); ENVIRONMENTS=DIR adds maps.
 bench: $(READY)

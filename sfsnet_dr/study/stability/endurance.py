@@ -160,7 +160,7 @@ CASES: Final = (
         "MB",
         differentiable_only=True,
         alone=True,
-        limit=240,
+        limit=600,
     ),
     ProcessCase(
         "new image sizes, then new batch sizes",
