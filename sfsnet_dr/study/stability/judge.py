@@ -23,7 +23,7 @@ Array = npt.NDArray[np.float64]
 DTYPES: Final = {"float32": torch.float32, "bfloat16": torch.bfloat16, "float64": torch.float64}
 
 _NEAR_THE_KINK: Final = 1e-5  # relative, of the squared length of a normal
-_SLACK: Final = 5 * _NEAR_THE_KINK  # relative, what a derivative on either side changes by over that distance
+_SLACK: Final = 5 * _NEAR_THE_KINK  # of the scale: what derivatives change by over that distance
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ def _compare(
         scale = answers[0].grad_scales[index]
         exact = [-scale, scale] if bound.kink == "residual" else [a.grads[index] for a in answers]
         if bound.kink == "length":  # both sides were taken a little off the kink
-            exact = [side * grad for grad in exact for side in (1 - _SLACK, 1 + _SLACK)]
+            exact = [grad + side * _SLACK * scale for grad in exact for side in (-1, 1)]
         errors.append(_error(grad, exact, scale, bound.gradient_floor))
         problems.append(errors[-1].complaint(f"gradient of {names[index]}", bound.gradient))
     return replace(
