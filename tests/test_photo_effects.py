@@ -8,8 +8,7 @@ import torch
 
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.base.color import LUMINANCE
-from sfsnet_dr.data.augment import READ_NOISE
-from sfsnet_dr.data.photo_effects import PhotoEffects, PhotoOptions, photograph, sample_effects
+from sfsnet_dr.data.photo_effects import READ_NOISE, PhotoEffects, PhotoOptions, photograph, sample_effects
 
 PLAIN = PhotoEffects(gain=np.ones(3), blur=0.0, noise=0.0, quality=None, grey=False, seed=0)
 

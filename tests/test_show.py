@@ -21,7 +21,7 @@ TINY = SceneSpec(
     "tiny",
     "anny",
     camera=CameraSpec(size=24),
-    head=HeadSpec(subdivision=0),
+    head=HeadSpec(subdivision=0, yaw=20.0),
     sampling=SamplingSpec(transport=32, reference=16),
 )
 BUNDLE = "face-000000.exr"

@@ -9,8 +9,10 @@ from spheres import write_spheres
 from sfsnet_dr.data.augment import Augmentation
 from sfsnet_dr.data.batch import FaceBatch
 from sfsnet_dr.data.dataset import RelitFaces, load_faces
+from sfsnet_dr.data.photo_effects import PhotoOptions
 from sfsnet_dr.fit.recipe import ComputeRecipe, ModelRecipe, OptimiserRecipe, Precision, Recipe
 from sfsnet_dr.fit.step import NotFinite, training_step
+from sfsnet_dr.scene.light_spec import LightSpec
 
 SMALL = ModelRecipe(stem=8, features=16, blocks=1)
 
@@ -19,7 +21,9 @@ SMALL = ModelRecipe(stem=8, features=16, blocks=1)
 def batch(tmp_path_factory: pytest.TempPathFactory) -> FaceBatch:
     """Four relit spheres of 16 x 16."""
     faces = load_faces(write_spheres(tmp_path_factory.mktemp("faces"), 4))
-    return RelitFaces(faces, 4, Augmentation(noise=0.0), seed=0).batch(0)
+    light = LightSpec(hdr=0, sun_sky=0, studio=0, directional=0, ambient=0, lobes=1)
+    augmentation = Augmentation(lights=4, light=light, photo=PhotoOptions(noise=0.0, jpeg=0.0, grey=0.0))
+    return RelitFaces(faces, 4, augmentation, seed=0).batch(0)
 
 
 def recipe(precision: Precision = "float32") -> Recipe:

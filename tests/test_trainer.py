@@ -13,17 +13,22 @@ import pytest
 from spheres import write_spheres
 
 from sfsnet_dr.base.checks import BadInput, WorkFailed
+from sfsnet_dr.data.augment import Augmentation
 from sfsnet_dr.fit.history import History, read_history
 from sfsnet_dr.fit.recipe import ComputeRecipe, ModelRecipe, Recipe
 from sfsnet_dr.fit.step import NotFinite, training_step
 from sfsnet_dr.fit.trainer import CHECKPOINT, HISTORY, WEIGHTS, train
 from sfsnet_dr.model.weights import load_weights, read_metadata
+from sfsnet_dr.scene.light_spec import LightSpec
 
 RECIPE = Recipe(
     steps=9,
     batch_size=2,
     checkpoint_every=4,
     model=ModelRecipe(stem=4, features=8, blocks=1),
+    data=Augmentation(
+        lights=4, light=LightSpec(hdr=0, sun_sky=0, studio=0, directional=1, ambient=0, lobes=1)
+    ),
     compute=ComputeRecipe(precision="float32", loss_backend="torch"),
 )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -31,6 +31,10 @@ class Train:
     scene: Annotated[
         Path | None, arg(metavar="FILE", help="Their scene (TOML); left out, that of scenes/faces.toml.")
     ] = None
+    environments: Annotated[
+        Path | None,
+        arg(metavar="DIR", help="Environment maps (.exr, .hdr) to light by, in place of the recipe's."),
+    ] = None
     resume: Annotated[bool, arg(help="Go on from the last checkpoint in --out.")] = False
     as_json: Json = False
 
@@ -40,6 +44,9 @@ class Train:
         from sfsnet_dr.report.record import dotted, measured
 
         recipe = read_recipe(self.recipe)
+        if self.environments is not None:
+            light = replace(recipe.data.light, environments=str(self.environments))
+            recipe = replace(recipe, data=replace(recipe.data, light=light))
         data = self.data or self.out / "faces"
         if self.data is None:
             wanted = Synth(data, self.faces, scene=self.scene, resume=True)

@@ -1,63 +1,95 @@
-"""What varies between the images of one face besides the light: exposure, background, noise, clipping."""
+"""What varies between the training images of one face: its light, what is behind it, and the camera."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
 from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.base.color import LUMINANCE
+from sfsnet_dr.data.photo_effects import PhotoOptions
+from sfsnet_dr.scene.light_spec import LightSpec
 
-#: Share of white's signal that is added to the signal before shot noise is drawn: the read noise.
-READ_NOISE: Final = 0.02
+Array = NDArray[np.float64]
 
-#: Cells along each side of a patterned background.
-BACKGROUND_CELLS: Final = 6
+#: Scales of what is behind a face: cells along each side, and standard deviation in the logarithm.
+_SCALES: Final = ((3, 0.7), (6, 0.4), (16, 0.2))
 
 
 @dataclass(frozen=True)
 class Augmentation:
-    """How images are varied.
+    """How training images are made from bundles.
 
     Args:
+        size: width and height of the images, of which the bundles' must be a multiple; None keeps theirs.
         flip: probability of a left-right reflection.
-        exposure: largest change of exposure either way, in stops; the light label follows it.
-        noise: largest standard deviation of sensor noise at signal 1; each image draws its own level
-            uniformly from 0 up to it, and variance grows linearly with the signal.
-        clip: keep [0, 1] only, as a display-referred picture does.
+        lights: how many lights are drawn before the first step and then used again, each time turned, white-
+            balanced and exposed anew.
+        light: their kinds, and the ranges of exposure and white balance.
+        photo: what the camera does.
 
     Raises:
         BadInput: for a value out of its range.
     """
 
+    size: int | None = None
     flip: float = 0.5
-    exposure: float = 0.3
-    noise: float = 0.01
-    clip: bool = True
+    lights: int = 4096
+    light: LightSpec = field(default_factory=LightSpec)
+    photo: PhotoOptions = field(default_factory=PhotoOptions)
 
     def __post_init__(self) -> None:
         if not 0 <= self.flip <= 1:
             raise BadInput(f"flip: {self.flip} found, a probability from 0 to 1 is needed")
-        for name in ("exposure", "noise"):
-            if not getattr(self, name) >= 0:
-                raise BadInput(f"{name}: {getattr(self, name)} found, 0 or more is needed")
+        limits = {"lights": (float(self.lights), 1.0, 1e6), "size": (float(self.size or 8), 8.0, 4096.0)}
+        limits |= {f"light.{key}": limit for key, limit in self.light.limits().items()}
+        for key, (value, low, high) in limits.items():
+            if not low <= value <= high:
+                raise BadInput(f"{key}: {value:g} found, {low:g} to {high:g} allowed")
 
 
-def backgrounds(rng: np.random.Generator, count: int, height: int, width: int) -> Tensor:
-    """Linear backgrounds (count, 3, H, W) in [0, 1]: by turns of chance one colour or a soft pattern."""
-    colours = rng.uniform(0, 1, (count, 3, 1, 1)) ** 2
-    patterns = rng.uniform(0, 1, (count, 3, BACKGROUND_CELLS, BACKGROUND_CELLS)) ** 2
-    patterned = rng.uniform(size=(count, 1, 1, 1)) < 0.5
-    cells = torch.from_numpy(np.where(patterned, patterns, colours)).float()
-    return functional.interpolate(cells, (height, width), mode="bilinear", align_corners=False)
+def backgrounds(
+    rng: np.random.Generator, lit: Array, place: Array, size: tuple[int, int], device: torch.device | str
+) -> Tensor:
+    """Linear backgrounds (B, 3, H, W), at least 0: a wall, blurred things, or the place that lights the face.
+
+    The batch form of ``surroundings.sample_surroundings``: from coefficients a place has one colour only.
+
+    Args:
+        rng: the only source of randomness.
+        lit: mean shading of a white face, (B, 3); walls and things get a tenth of it up to all.
+        place: radiance from behind the face, (B, 3).
+        size: height and width.
+        device: where they are wanted.
+    """
+    count = len(lit)
+    kind = rng.choice(3, (count, 1), p=[0.4, 0.25, 0.35])  # place, wall, things
+    light = lit * np.exp(rng.uniform(np.log(0.1), 0.0, (count, 1)))
+    colour = np.where(kind == 0, place, _muted(rng, count) * light)
+    variety = np.choose(kind, [0.7, 0.1, 1.0])[..., None, None]
+    total = torch.zeros(count, 3, 1, 1)
+    for cells, amount in _SCALES:  # small grids first: the full size is interpolated once
+        grey, tint = rng.normal(size=(count, 1, cells, cells)), rng.normal(size=(count, 3, cells, cells))
+        grid = torch.from_numpy((amount * variety * (grey + 0.3 * tint)).astype(np.float32))
+        total = grid + functional.interpolate(total, (cells, cells), mode="bilinear", align_corners=True)
+    total = functional.interpolate(total.to(device), size, mode="bilinear", align_corners=True)
+    brightest = torch.from_numpy(lit.astype(np.float32)).to(device)[:, :, None, None]
+    base = torch.from_numpy(colour.astype(np.float32)).to(device)[:, :, None, None]
+    things = (total.exp_() * base).clamp_min_(0)
+    walled = torch.from_numpy(kind > 0).to(device)[..., None, None]
+    return torch.where(walled, things.minimum(brightest), things)
 
 
-def add_noise(image: Tensor, rng: np.random.Generator, largest: float) -> Tensor:
-    """Add noise of variance level^2 (signal + ``READ_NOISE``) to (B, 3, H, W); each image has its level."""
-    level = torch.from_numpy(rng.uniform(0, largest, (len(image), 1, 1, 1))).float()
-    normal = torch.from_numpy(rng.standard_normal(tuple(image.shape), dtype=np.float32))
-    return image + level * (image.clamp_min(0) + READ_NOISE).sqrt() * normal
+def _muted(rng: np.random.Generator, count: int) -> Array:
+    """Albedos (B, 3) as walls, clothes and leaves have them."""
+    color = rng.uniform(0.0, 1.0, (count, 3))
+    grey = (color @ LUMINANCE)[:, None]
+    color = grey + rng.beta(1.2, 3.0, (count, 1)) * (color - grey)
+    level = np.exp(rng.uniform(np.log(0.05), np.log(0.8), (count, 1)))
+    return np.asarray(np.clip(color * level / np.maximum(grey, 0.05), 0.01, 0.9))

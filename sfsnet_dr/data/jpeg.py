@@ -6,6 +6,7 @@ tables of the standard (ITU-T T.81, annex K) scaled by libjpeg's quality, and ch
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
@@ -33,12 +34,12 @@ _TO_YCC = torch.tensor(
 )
 
 
-def compress(encoded: Tensor, quality: int) -> Tensor:
+def compress(encoded: Tensor, quality: int | Sequence[int]) -> Tensor:
     """Pictures after a JPEG file.
 
     Args:
         encoded: (B, 3, H, W) display values in [0, 1]; other values are clipped, all are rounded to 8 bits.
-        quality: 1 to 100, as libjpeg counts.
+        quality: 1 to 100, as libjpeg counts; one for all, or one for each picture.
 
     Returns:
         (B, 3, H, W), multiples of 1/255 in [0, 1].
@@ -47,31 +48,35 @@ def compress(encoded: Tensor, quality: int) -> Tensor:
         BadInput: for another shape or quality.
     """
     sizes = check_shape("encoded", encoded, "B 3 H W")
-    if not 1 <= quality <= 100:
-        raise BadInput(f"quality: {quality} found, 1 to 100 allowed")
+    qualities = [quality] * sizes["B"] if isinstance(quality, int) else list(quality)
+    if len(qualities) != sizes["B"] or not all(1 <= value <= 100 for value in qualities):
+        raise BadInput(f"quality: {quality} found, 1 to 100 allowed, one or as many as pictures")
     height, width = sizes["H"], sizes["W"]
     levels = (encoded.float().clamp(0, 1) * 255).round()
     # Edges are repeated up to whole blocks of 16, the area of one block of halved chroma.
     levels = functional.pad(levels, (0, -width % 16, 0, -height % 16), mode="replicate")
-    planes = torch.einsum("dc,bchw->bdhw", _TO_YCC, levels).round()
-    luma = _round_trip(planes[:, :1] - 128, _table(_LUMA, quality)) + 128
+    planes = _mixed(_TO_YCC, levels).round()
+    luma = _round_trip(planes[:, :1] - 128, _tables(_LUMA, qualities)) + 128
     halved = functional.avg_pool2d(planes[:, 1:], 2).round()
-    chroma = _round_trip(halved, _table(_chroma(), quality))
+    chroma = _round_trip(halved, _tables(_chroma(), qualities))
     chroma = functional.interpolate(chroma, scale_factor=2, mode="bilinear", align_corners=False)
-    back = torch.linalg.inv(_TO_YCC)
-    rgb = torch.einsum("cd,bdhw->bchw", back, torch.cat([luma, chroma], dim=1))
+    rgb = _mixed(torch.linalg.inv(_TO_YCC), torch.cat([luma, chroma], dim=1))
     return rgb[..., :height, :width].round().clamp(0, 255) / 255
 
 
-def _round_trip(plane: Tensor, table: Tensor) -> Tensor:
-    """Cosine transform in blocks of 8 x 8, rounding by the table, and back."""
+def _mixed(matrix: Tensor, planes: Tensor) -> Tensor:
+    """Colours (B, 3, H, W) times a matrix (3, 3)."""
+    return (matrix.to(planes.device) @ planes.flatten(2)).reshape(planes.shape)
+
+
+def _round_trip(plane: Tensor, tables: Tensor) -> Tensor:
+    """Cosine transform in blocks of 8 x 8, rounding by each picture's table (B, 8, 8), and back."""
     batch, channels, height, width = plane.shape
-    blocks = plane.reshape(batch, channels, height // 8, 8, width // 8, 8)
-    basis = _cosines()
-    frequencies = torch.einsum("ui,vj,bcyixj->bcyuxv", basis, basis, blocks)
-    table = table[:, None, :]
-    frequencies = (frequencies / table).round() * table
-    back = torch.einsum("ui,vj,bcyuxv->bcyixj", basis, basis, frequencies).reshape(plane.shape)
+    blocks = plane.reshape(batch, channels, height // 8, 8, width // 8, 8).transpose(3, 4)
+    basis = _cosines().to(plane.device)
+    steps = tables.to(plane.device)[:, None, None, None]
+    frequencies = (basis @ blocks @ basis.T / steps).round() * steps
+    back = (basis.T @ frequencies @ basis).transpose(3, 4).reshape(plane.shape)
     return back.round().clamp(-128, 127)
 
 
@@ -84,9 +89,10 @@ def _cosines() -> Tensor:
     return torch.from_numpy(basis).float()
 
 
-def _table(base: list[list[int]], quality: int) -> Tensor:
-    scale = 5000 // quality if quality < 50 else 200 - 2 * quality
-    return torch.from_numpy(np.clip((np.array(base) * scale + 50) // 100, 1, 255)).float()
+def _tables(base: list[list[int]], qualities: list[int]) -> Tensor:
+    """(B, 8, 8) steps of the coefficients."""
+    scales = np.array([5000 // quality if quality < 50 else 200 - 2 * quality for quality in qualities])
+    return torch.from_numpy(np.clip((np.array(base) * scales[:, None, None] + 50) // 100, 1, 255)).float()
 
 
 def _chroma() -> list[list[int]]:

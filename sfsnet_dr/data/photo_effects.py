@@ -6,7 +6,9 @@ photograph can be made again and its light label can follow: exposure and white 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 import torch
@@ -17,8 +19,13 @@ from torch.nn import functional
 from sfsnet_dr.base.checks import BadInput, check_shape
 from sfsnet_dr.base.color import LUMINANCE
 from sfsnet_dr.base.color_torch import linear_to_srgb, srgb_to_linear
-from sfsnet_dr.data.augment import READ_NOISE
 from sfsnet_dr.data.jpeg import compress
+
+#: Share of white's signal that is added to the signal before shot noise is drawn: the read noise.
+READ_NOISE: Final = 0.02
+
+#: Blur, pixels, below which the neighbours' weights are smaller than float32's rounding.
+_SHARP: Final = 0.05
 
 
 @dataclass(frozen=True)
@@ -66,7 +73,7 @@ class PhotoEffects:
             multiplied by it too.
         blur: standard deviation, pixels.
         noise: standard deviation at signal 1; variance grows linearly with the signal (shot noise) from
-            ``augment.READ_NOISE`` of it at signal 0 (read noise).
+            ``READ_NOISE`` of it at signal 0 (read noise).
         quality: of the JPEG file, or None.
         grey: whether the image has no colour: every channel is its luminance.
         seed: of the noise.
@@ -98,11 +105,11 @@ def sample_effects(rng: np.random.Generator, options: PhotoOptions) -> PhotoEffe
     )
 
 
-def photograph(images: Tensor, coverage: Tensor, behind: Tensor, effects: list[PhotoEffects]) -> Tensor:
+def photograph(images: Tensor, coverage: Tensor, behind: Tensor, effects: Sequence[PhotoEffects]) -> Tensor:
     """Take photographs.
 
     Args:
-        images: linear images (B, 3, H, W) of the faces alone, 0 where they are not.
+        images: linear images (B, 3, H, W) of the faces alone, 0 where they are not, on any device.
         coverage: share of each pixel that the face covers, (B, 1, H, W).
         behind: linear background (B, 3, H, W) before exposure, as of ``augment.backgrounds``.
         effects: B of them.
@@ -117,28 +124,56 @@ def photograph(images: Tensor, coverage: Tensor, behind: Tensor, effects: list[P
     check_shape("coverage", coverage, "B 1 H W", **sizes)
     check_shape("behind", behind, "B 3 H W", **sizes)
     arriving = images.float() + (1 - coverage.float()) * behind.float()
-    return torch.cat([_develop(arriving[k : k + 1], effect) for k, effect in enumerate(effects)])
+    gains = arriving.new_tensor(np.array([effect.gain for effect in effects]))
+    signal = _blurred(arriving, [effect.blur for effect in effects]) * gains[:, :, None, None]
+    developed = _noisy(signal, effects).clamp_(0, 1)
+    grey = _chosen(developed, [effect.grey for effect in effects])
+    if len(grey):
+        weights = developed.new_tensor(LUMINANCE)[:, None, None]
+        developed[grey] = (developed[grey] * weights).sum(1, keepdim=True).expand(-1, 3, -1, -1)
+    filed = _chosen(developed, [effect.quality is not None for effect in effects])
+    if len(filed):
+        qualities = [effect.quality for effect in effects if effect.quality is not None]
+        developed[filed] = srgb_to_linear(compress(linear_to_srgb(developed[filed]), qualities))
+    return developed
 
 
-def _develop(image: Tensor, effect: PhotoEffects) -> Tensor:
-    image = _blurred(image, effect.blur) * image.new_tensor(effect.gain)[:, None, None]
-    noise = np.random.default_rng(effect.seed).standard_normal(tuple(image.shape), dtype=np.float32)
-    deviation = effect.noise * (image.clamp_min(0) + READ_NOISE).sqrt()
-    image = (image + deviation * torch.from_numpy(noise)).clamp(0, 1)
-    if effect.grey:
-        image = torch.einsum("c,bchw->bhw", image.new_tensor(LUMINANCE), image)[:, None].expand(-1, 3, -1, -1)
-    if effect.quality is not None:
-        image = srgb_to_linear(compress(linear_to_srgb(image), effect.quality))
-    return image
+def _chosen(images: Tensor, wanted: Sequence[bool]) -> Tensor:
+    """Numbers of the images that something happens to."""
+    return torch.tensor(
+        [k for k, value in enumerate(wanted) if value], device=images.device, dtype=torch.int64
+    )
 
 
-def _blurred(image: Tensor, deviation: float) -> Tensor:
-    """Gaussian blur; the border repeats."""
-    if deviation < 0.05:  # the neighbours' weights would be below float32's rounding
-        return image
-    reach = int(np.ceil(3 * deviation))
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / deviation) ** 2)
-    weights = torch.from_numpy(kernel / kernel.sum()).float()
-    padded = functional.pad(image, (reach, reach, reach, reach), mode="replicate")
-    across = functional.conv2d(padded, weights.expand(3, 1, 1, -1), groups=3)
-    return functional.conv2d(across, weights[:, None].expand(3, 1, -1, -1), groups=3)
+def _noisy(signal: Tensor, effects: Sequence[PhotoEffects]) -> Tensor:
+    """Each image's noise is drawn from its own seed, so that it does not depend on the others."""
+    noise = torch.zeros_like(signal)
+    for k, effect in enumerate(effects):
+        if effect.noise > 0:
+            generator = torch.Generator(signal.device).manual_seed(effect.seed)
+            noise[k].normal_(0.0, effect.noise, generator=generator)
+    return signal + noise.mul_((signal.clamp_min(0) + READ_NOISE).sqrt_())
+
+
+def _blurred(images: Tensor, deviations: Sequence[float]) -> Tensor:
+    """Gaussian blur, each image by its own standard deviation, cut at 3 of the widest; the border repeats."""
+    chosen = _chosen(images, [deviation >= _SHARP for deviation in deviations])
+    if not len(chosen):
+        return images
+    widths = np.array([deviation for deviation in deviations if deviation >= _SHARP])[:, None]
+    reach = int(np.ceil(3 * widths.max()))
+    kernels = np.exp(-0.5 * (np.arange(-reach, reach + 1) / widths) ** 2)
+    weights = images.new_tensor(kernels / kernels.sum(axis=1, keepdims=True))
+    soft = _smoothed(_smoothed(images[chosen], weights, -1), weights, -2)
+    return images.index_copy(0, chosen, soft)
+
+
+def _smoothed(images: Tensor, weights: Tensor, axis: int) -> Tensor:
+    """Images (B, 3, H, W) along one axis by kernels (B, N): shifted and added, which is the quickest here."""
+    reach, length = weights.shape[1] // 2, images.shape[axis]
+    sides = (reach, reach, 0, 0) if axis == -1 else (0, 0, reach, reach)
+    padded = functional.pad(images, sides, mode="replicate")
+    total = torch.zeros_like(images)
+    for k in range(weights.shape[1]):
+        total.addcmul_(padded.narrow(axis, k, length), weights[:, k, None, None, None])
+    return total

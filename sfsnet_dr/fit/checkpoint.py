@@ -96,7 +96,10 @@ def _adam_state(tensors: dict[str, Tensor], name: str, parameter: Tensor) -> dic
 
 def _check_same(path: Path, header: dict[str, Any], recipe: Recipe, data: str) -> None:
     if header["data"] != data:
-        raise BadInput(f"{path}: trained on other bundles; resume with the same data or choose another --out")
+        raise BadInput(
+            f"{path}: trained on other bundles or environment maps; resume with the same, or choose another "
+            "--out"
+        )
     for where, found, wanted in _differences(header["recipe"], as_dict(recipe)):
         raise BadInput(
             f"{path}: recipe with {where} = {found!r} found, {wanted!r} asked for; use the same recipe"

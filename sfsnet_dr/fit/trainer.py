@@ -16,7 +16,8 @@ from rich.progress import Progress as Bar
 from sfsnet_dr.base.atomic import output_dir
 from sfsnet_dr.base.checks import BadInput, WorkFailed
 from sfsnet_dr.base.config import as_dict
-from sfsnet_dr.data.dataset import Faces, RelitFaces, load_faces
+from sfsnet_dr.data.dataset import RelitFaces, load_faces
+from sfsnet_dr.data.light_bank import kept_bank
 from sfsnet_dr.fit.checkpoint import Progress, load_checkpoint, save_checkpoint
 from sfsnet_dr.fit.history import History, read_history
 from sfsnet_dr.fit.recipe import Recipe
@@ -29,6 +30,7 @@ from sfsnet_dr.model.weights import save_weights
 WEIGHTS: Final = "weights.safetensors"
 CHECKPOINT: Final = "checkpoint.safetensors"
 HISTORY: Final = "history.jsonl"
+LIGHTS: Final = "lights.npz"
 
 #: Steps that ``first`` and ``final`` of a result are means over.
 WINDOW: Final = 20
@@ -72,11 +74,17 @@ def train(
         WorkFailed: if too many steps were not finite, or SIGTERM came; the checkpoint is saved then.
         KeyboardInterrupt: on SIGINT, with the checkpoint saved.
     """
-    faces = load_faces(data_dir)
+    faces = load_faces(data_dir, recipe.data.size)
     folder = output_dir(out)
     if not resume and (folder / CHECKPOINT).exists():
         raise BadInput(f"{folder}: holds a run already; go on with --resume or choose another folder")
-    run = _Run(recipe, faces, folder, resume)
+    with _bar(progress) as bar:
+        lights = bar.add_task("drawing lights", total=recipe.data.lights, loss="", speed="")
+        bank = kept_bank(
+            folder / LIGHTS, recipe.data.light, recipe.data.lights, recipe.seed, lambda: bar.advance(lights)
+        )
+        bar.remove_task(lights)
+    run = _Run(recipe, RelitFaces(faces, recipe.batch_size, recipe.data, recipe.seed, bank), folder, resume)
     with _bar(progress) as bar, StopRequest() as stop, History(folder / HISTORY, run.done.step) as history:
         task = bar.add_task("training", total=recipe.steps, completed=run.done.step, loss="", speed="")
         while run.done.step < recipe.steps:
@@ -91,15 +99,15 @@ def train(
 class _Run:
     """A run's changing state: the network, Adam and how far it is."""
 
-    def __init__(self, recipe: Recipe, faces: Faces, folder: Path, resume: bool) -> None:
-        self.recipe, self.folder, self.data = recipe, folder, faces.fingerprint
-        self.batches = RelitFaces(faces, recipe.batch_size, recipe.data, recipe.seed)
+    def __init__(self, recipe: Recipe, batches: RelitFaces, folder: Path, resume: bool) -> None:
+        self.recipe, self.folder, self.batches = recipe, folder, batches
+        self.data = batches.fingerprint
         self.model = _make_model(recipe)
         decay = recipe.optimiser.weight_decay
         self.adam = torch.optim.Adam(self.model.parameters(), weight_decay=decay)
         self.done = Progress()
         if resume:
-            self.done = load_checkpoint(folder / CHECKPOINT, self.model, self.adam, recipe, faces.fingerprint)
+            self.done = load_checkpoint(folder / CHECKPOINT, self.model, self.adam, recipe, self.data)
 
     def step(self, history: History) -> tuple[str, str]:
         """Do the next step, note it, and give the bar its texts: loss and speed."""

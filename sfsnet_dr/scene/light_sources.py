@@ -26,9 +26,10 @@ Array = npt.NDArray[np.float64]
 #: Greatest angle between a directional light and the viewer's direction +z, degrees.
 LARGEST_ANGLE: Final = 85.0
 
-_UP = np.array([0.0, 1.0, 0.0])
-_LARGEST_TILT = 25.0  # degrees by which surroundings are tilted at most to bring their sun to a direction
+#: Degrees by which surroundings are tilted at most to bring their sun to a direction.
+LARGEST_TILT: Final = 25.0
 
+_UP = np.array([0.0, 1.0, 0.0])
 #: Albedos of the ground under a sky: grass, sand, asphalt, concrete, snow.
 _GROUNDS = np.array(
     [[0.08, 0.13, 0.04], [0.42, 0.33, 0.22], [0.09, 0.09, 0.09], [0.35, 0.34, 0.31], [0.80, 0.82, 0.85]]
@@ -104,7 +105,7 @@ def _map_from_file(rng: np.random.Generator, spec: LightSpec, directions: Array 
         return light.turned(tilt @ turn)
     sun = light.directional[0][0]
     heights = np.degrees(np.arcsin(np.clip(directions[:, 1], -1, 1)) - np.arcsin(np.clip(sun[1], -1, 1)))
-    fitting = np.flatnonzero(np.abs(heights) <= _LARGEST_TILT)
+    fitting = np.flatnonzero(np.abs(heights) <= LARGEST_TILT)
     if not len(fitting):
         return light.turned(tilt @ turn)
     return light.turned(turn_to(sun, directions[rng.choice(fitting)]))

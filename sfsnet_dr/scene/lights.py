@@ -104,7 +104,7 @@ class SceneLight:
         A camera's meter takes such a mean; by the one normal +z a light from the side would be exposed up
         to ten times too bright.
         """
-        return np.asarray(self.shading(_face_normals()).mean(axis=0))
+        return np.asarray(self.shading(face_normals()).mean(axis=0))
 
     def scaled(self, factor: float | Array) -> SceneLight:
         """Brighter or darker, by one factor or one for each colour (3,), at least 0."""
@@ -172,7 +172,7 @@ def rotation_about(axis: Array, degrees: float) -> Array:
 
 
 @cache
-def _face_normals() -> Array:
+def face_normals() -> Array:
     """(96, 3) normals, evenly spread in the image of a ball, up to 60 degrees from +z."""
     k = np.arange(96)
     radius, turn = np.sin(np.radians(60.0)) * np.sqrt((k + 0.5) / 96), np.pi * (1 + 5**0.5) * k

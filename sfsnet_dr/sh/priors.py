@@ -55,12 +55,8 @@ class Lobe:
         return np.asarray((peak * np.exp(self.kappa * (cosine - 1)))[..., None] * self.power)
 
     def coefficients(self, order: int) -> NDArray[np.float64]:
-        """(K, 3): band l is that of a delta light times I_(l+1/2)(kappa) / I_(1/2)(kappa)."""
-        from scipy.special import ive
-
-        bands = np.arange(order + 1) + 0.5
-        width = (ive(bands, self.kappa) / ive(0.5, self.kappa))[band_of(order)]
-        return np.outer(width * sh_basis(self.direction, order), self.power)
+        """(K, 3): those of a delta light, each band narrowed by ``lobe_bands``."""
+        return np.outer(lobe_bands(self.kappa, order) * sh_basis(self.direction, order), self.power)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +110,14 @@ class LobeLight:
         """The same light, brighter or darker by a factor of at least 0."""
         lobes = tuple(replace(lobe, power=lobe.power * factor) for lobe in self.lobes)
         return LobeLight(self.ambient * factor, self.gradient, lobes)
+
+
+def lobe_bands(kappa: float, order: int) -> NDArray[np.float64]:
+    """(K,): share of each coefficient of a delta light that a lobe has, I_(l+1/2)(kappa) / I_(1/2)(kappa)."""
+    from scipy.special import ive
+
+    bands = np.arange(order + 1) + 0.5
+    return np.asarray((ive(bands, kappa) / ive(0.5, kappa))[band_of(order)])
 
 
 def sample_lights(rng: np.random.Generator, count: int) -> list[LobeLight]:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.sh.basis import sh_basis
 from sfsnet_dr.sh.coefficients import Radiance, Shading
-from sfsnet_dr.sh.kernel import check_order
+from sfsnet_dr.sh.kernel import check_order, order_of
 
 Light = TypeVar("Light", Radiance, Shading)
 
@@ -44,6 +44,14 @@ def rotation_matrix(rotation: ArrayLike, order: int) -> NDArray[np.float64]:
 def rotate(light: Light, rotation: ArrayLike) -> Light:
     """Turn the light by a rotation (or mirror it): what came from direction d then comes from R d."""
     return type(light)(rotation_matrix(rotation, light.order) @ light.values)
+
+
+def rotate_each(values: NDArray[np.float64], rotations: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Turn many lights at once, each by its own rotation: coefficients (B, K, C), rotations (B, 3, 3)."""
+    order = order_of(values.shape[1])
+    directions, weights = sphere_quadrature(2 * order)
+    seen = np.einsum("bpk,bkc->bpc", sh_basis(directions @ rotations, order), values)
+    return np.asarray(np.einsum("pk,bpc->bkc", sh_basis(directions, order) * weights[:, None], seen))
 
 
 def sphere_quadrature(degree: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
