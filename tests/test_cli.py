@@ -187,6 +187,19 @@ def no_faces(folder: Path) -> list[str]:
     return ["synth", "--scene", str(folder / "scene.toml"), "--out", str(folder / "out"), "--count", "0"]
 
 
+def photographs_without_landmarks(folder: Path) -> list[str]:
+    (folder / "photos").mkdir()
+    write_png(folder / "photos" / "a.png", np.full((160, 160, 3), 0.4))
+    weights = str(folder / "good.safetensors")
+    return ["pseudo-label", str(folder / "photos"), "--weights", weights, "--out", str(folder / "out")]
+
+
+def empty_folder_of_photographs(folder: Path) -> list[str]:
+    (folder / "photos").mkdir()
+    weights = str(folder / "good.safetensors")
+    return ["pseudo-label", str(folder / "photos"), "--weights", weights, "--out", str(folder / "out")]
+
+
 def unknown_command(_: Path) -> list[str]:
     return ["decompse"]
 
@@ -219,6 +232,8 @@ BAD: dict[Callable[[Path], list[str]], tuple[str, ...]] = {
     missing_recipe: ("absent.toml", "no such file"),
     unknown_scene_key: ("scene.toml", "'albido'", "'albedo'"),
     no_faces: ("count 0", "at least 1"),
+    photographs_without_landmarks: ("photos", "no landmarks found", "photos_landmarks.npz"),
+    empty_folder_of_photographs: ("photos", "no photographs found", "JPEG or PNG"),
     unknown_command: ("'decompse'", "'decompose'"),
 }
 

@@ -8,6 +8,7 @@ from sfsnet_dr.commands.bench import BenchRelight, BenchSynth
 from sfsnet_dr.commands.faces import Relight, Show, Synth
 from sfsnet_dr.commands.lights import WorstLight
 from sfsnet_dr.commands.network import Decompose, Train
+from sfsnet_dr.commands.photographs import PseudoLabel
 from sfsnet_dr.commands.regression import Regress
 from sfsnet_dr.commands.result import Command
 from sfsnet_dr.commands.stability import Stability
@@ -21,6 +22,7 @@ COMMANDS: Final[dict[str, tuple[type[Command], str]]] = {
     "show": (Show, "Make a contact sheet of rendered faces"),
     "relight": (Relight, "Put one rendered face under another light"),
     "train": (Train, "Train a network by a recipe"),
+    "pseudo-label": (PseudoLabel, "Label photographs with a network's answers"),
     "decompose": (Decompose, "Take photographs of faces apart"),
     "validate": (Validate, "Measure the SH renderer against the path tracer"),
     "worst-light": (WorstLight, "Find the light under which the SH renderer is most wrong"),

@@ -35,3 +35,9 @@ def flip_transport(transport: Tensor) -> Tensor:
     order = int(transport.shape[-4] ** 0.5) - 1
     signs = transport.new_tensor(x_parity(order))
     return transport.flip(-1) * signs[:, None, None, None]
+
+
+def flip_light(light: Tensor) -> Tensor:
+    """Reflect light coefficients (..., 3K), all of red, of green, of blue: those odd in x change sign."""
+    count = light.shape[-1] // 3
+    return light * light.new_tensor(x_parity(int(count**0.5) - 1)).repeat(3)

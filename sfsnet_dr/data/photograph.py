@@ -53,6 +53,9 @@ def to_canonical(image: NDArray[np.floating], eyes: Eyes) -> NDArray[np.float32]
 def inside(height: int, width: int, eyes: Eyes) -> NDArray[np.float32]:
     """Share of each canonical pixel that a photograph of this size covers, (128, 128) in [0, 1]."""
     _check_eyes(eyes, width, height)
+    x, y = _to_photograph(eyes, [0, 0, FACE_SIZE, FACE_SIZE], [0, FACE_SIZE, 0, FACE_SIZE])
+    if x.min() >= 0 and y.min() >= 0 and x.max() <= width and y.max() <= height:
+        return np.ones((FACE_SIZE, FACE_SIZE), np.float32)  # all of it, and no need to look closer
     # A ring of zeros, so that the share falls to 0 half a pixel beyond the border and not at once.
     ones = np.pad(np.ones((height, width, 1), np.float32), ((1, 1), (1, 1), (0, 0)))
     (xl, yl), (xr, yr) = eyes

@@ -1,0 +1,223 @@
+"""Folders of photographs as training data: listed with their landmarks, brought to the canonical frame, held.
+
+A folder of photographs has an ``.npz`` with ``files`` (N names) and ``points`` (N, 68, 2) in the pixels of
+the photographs: ``landmarks.npz`` in it, or ``NAME_landmarks.npz`` beside the folder NAME. A folder of such
+folders is taken too.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import zipfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.base.color import linear_to_srgb
+from sfsnet_dr.base.conventions import FACE_SIZE
+from sfsnet_dr.base.imageio import read_image
+from sfsnet_dr.data.landmarks import COUNT, canonical_landmarks, eye_centres, skin_mask
+from sfsnet_dr.data.photograph import inside, to_canonical
+
+Array = npt.NDArray[np.float64]
+
+PICTURES: Final = frozenset({".jpg", ".jpeg", ".png"})
+#: What may lie beside photographs without being one.
+_ASIDE: Final = frozenset({".npz", ".txt", ".md", ".toml"})
+
+
+@dataclass(frozen=True, eq=False)
+class Photo:
+    """A photograph with its landmarks (68, 2); ``name`` is its path below the folder that was given."""
+
+    name: str
+    path: Path
+    points: Array
+
+
+@dataclass(frozen=True)
+class Skipped:
+    """A photograph that cannot be used, and why."""
+
+    name: str
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class PhotoSet:
+    """N photographs of one size in memory.
+
+    Attributes:
+        images: sRGB-encoded, (N, 3, S, S) uint8.
+        masks: share of each pixel that is skin in 255ths, (N, 1, S, S) uint8.
+        names: N names.
+        hashes: SHA-256 of the files.
+        skipped: those that could not be read.
+    """
+
+    images: Tensor
+    masks: Tensor
+    names: tuple[str, ...]
+    hashes: tuple[str, ...]
+    skipped: tuple[Skipped, ...]
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+def list_photos(folder: Path | str) -> tuple[list[Photo], list[Skipped]]:
+    """All photographs of a folder in the order of their names, and those without usable landmarks.
+
+    Raises:
+        BadInput: if the folder is missing, empty, mixed with other files, or has no landmarks; or if none of
+            its photographs has landmarks.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise BadInput(f"{folder}: no such folder; a folder of photographs is needed")
+    photos, skipped = [], []
+    for part in _parts(folder):
+        known = _landmarks(part)
+        for path in _pictures(part):
+            name = path.relative_to(folder).as_posix()
+            reason = _unusable(known.get(path.name))
+            if reason:
+                skipped.append(Skipped(name, reason))
+            else:
+                photos.append(Photo(name, path, known[path.name]))
+    if not photos:
+        raise BadInput(f"{folder}: none of {len(skipped)} photographs has landmarks; {skipped[0].reason}")
+    return photos, skipped
+
+
+def hold_back(photos: Sequence[Photo], count: int, seed: int = 0) -> tuple[list[Photo], list[Photo]]:
+    """Split into photographs to learn from and ``count`` to measure on, by a hash of the seed and the name.
+
+    Whether one is held back hardly depends on which others are there.
+
+    Raises:
+        BadInput: unless fewer than half are held back.
+    """
+    if not 0 <= count < max(1, len(photos) / 2):
+        raise BadInput(f"held back: {count} of {len(photos)} photographs found, less than half is allowed")
+    ranks = sorted(photos, key=lambda photo: hashlib.sha256(f"{seed}/{photo.name}".encode()).digest())
+    held = {photo.name for photo in ranks[:count]}
+    return [p for p in photos if p.name not in held], [p for p in photos if p.name in held]
+
+
+def load_photos(
+    photos: Sequence[Photo], size: int = FACE_SIZE, on_photo: Callable[[], object] | None = None
+) -> PhotoSet:
+    """Read photographs, bring each to the canonical frame and average it to ``size``, in linear light.
+
+    Args:
+        photos: of ``list_photos``.
+        size: width and height, a divisor of 128.
+        on_photo: called after each.
+
+    Raises:
+        BadInput: for another size.
+    """
+    if size < 8 or FACE_SIZE % size:
+        raise BadInput(f"size: {size} found, a divisor of {FACE_SIZE} from 8 on is needed")
+    images, masks, names, hashes, skipped = [], [], [], [], []
+    for photo in photos:
+        try:
+            image, mask = _canonical(photo, size)
+        except BadInput as error:
+            skipped.append(Skipped(photo.name, str(error)))
+        else:
+            images.append(image)
+            masks.append(mask)
+            names.append(photo.name)
+            hashes.append(hashlib.sha256(photo.path.read_bytes()).hexdigest())
+        if on_photo is not None:
+            on_photo()
+    return PhotoSet(
+        torch.from_numpy(np.array(images, np.uint8).reshape(-1, 3, size, size)),
+        torch.from_numpy(np.array(masks, np.uint8).reshape(-1, 1, size, size)),
+        tuple(names),
+        tuple(hashes),
+        tuple(skipped),
+    )
+
+
+def _canonical(photo: Photo, size: int) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]]:
+    pixels = read_image(photo.path, channels=3).pixels
+    eyes = eye_centres(photo.points)
+    image = _means(to_canonical(pixels, eyes), size)
+    mask = skin_mask(canonical_landmarks(photo.points), size)
+    mask = mask * _means(inside(pixels.shape[0], pixels.shape[1], eyes)[..., None], size)[..., 0]
+    if not mask.any():
+        raise BadInput("no face in the frame: its landmarks lie outside the picture")
+    return _bytes(np.moveaxis(linear_to_srgb(image), -1, 0)), _bytes(mask[None])
+
+
+def _means(image: npt.NDArray[np.float32], size: int) -> npt.NDArray[np.float32]:
+    block = FACE_SIZE // size
+    means: npt.NDArray[np.float32] = image.reshape(size, block, size, block, -1).mean((1, 3))
+    return means
+
+
+def _bytes(values: npt.NDArray[np.floating]) -> npt.NDArray[np.uint8]:
+    rounded: npt.NDArray[np.uint8] = np.rint(np.clip(values, 0, 1) * 255).astype(np.uint8)
+    return rounded
+
+
+def _parts(folder: Path) -> list[Path]:
+    """The folder itself if it holds photographs, else those of its subfolders that do."""
+    subfolders = sorted(path for path in folder.iterdir() if path.is_dir() and _pictures(path))
+    own = _pictures(folder)
+    if own and subfolders:
+        raise BadInput(
+            f"{folder}: photographs found in it and in {subfolders[0].name}/; give a folder of photographs "
+            "or a folder of such folders"
+        )
+    if not own and not subfolders:
+        raise BadInput(f"{folder}: no photographs found; JPEG or PNG files are needed")
+    return [folder] if own else subfolders
+
+
+def _pictures(folder: Path) -> list[Path]:
+    files = [path for path in sorted(folder.iterdir()) if path.is_file() and not path.name.startswith(".")]
+    pictures = [path for path in files if path.suffix.lower() in PICTURES]
+    others = [path for path in files if path.suffix.lower() not in PICTURES | _ASIDE]
+    if pictures and others:
+        raise BadInput(
+            f"{folder}: {others[0].name} found among photographs; a folder of JPEG and PNG files is needed"
+        )
+    return pictures
+
+
+def _landmarks(folder: Path) -> dict[str, Array]:
+    choices = [folder / "landmarks.npz", folder.with_name(f"{folder.name}_landmarks.npz")]
+    path = next((choice for choice in choices if choice.is_file()), None)
+    if path is None:
+        raise BadInput(f"{folder}: no landmarks found; {choices[0]} or {choices[1]} is needed")
+    try:
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+            files, points = file["files"], file["points"].astype(np.float64)
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise BadInput(
+            f"{path}: no landmarks ({error}); files (N,) and points (N, 68, 2) are needed"
+        ) from error
+    if points.shape != (len(files), COUNT, 2):
+        raise BadInput(f"{path}: points of shape {points.shape} found, ({len(files)}, {COUNT}, 2) expected")
+    return dict(zip((str(name) for name in files), points, strict=True))
+
+
+def _unusable(points: Array | None) -> str:
+    """Why a photograph cannot be used; empty if it can."""
+    if points is None:
+        return "its name is not among the landmarks"
+    if not np.isfinite(points).all():
+        return "its landmarks are not finite, as where no face was found"
+    (xl, _), (xr, _) = eye_centres(points)
+    return "" if xr - xl >= 4 else "its eyes are less than 4 pixels apart"

@@ -1,0 +1,159 @@
+"""Stage two of the paper's training: a network's answers for photographs become labels for another network.
+
+A label is the mean of the answers to four views of a photograph (itself, its mirror image, both shifted by a
+few pixels), brought back to its frame. Where the answers disagree the network guesses, and nothing tells that
+without ground truth better: with a the RMS angle of the normals to their mean, and d the RMS deviation of the
+albedo relative to its mean plus .05, a pixel's confidence is
+
+    1 / (1 + (a / 10 degrees)^2)  *  1 / (1 + (d / .1)^2).
+
+It is blind to errors that all views share. Light is weighted by its face's mean confidence (``loss.terms``).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from sfsnet_dr.base.atomic import output_dir
+from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.base.conventions import FACE_SIZE
+from sfsnet_dr.base.provenance import sha256
+from sfsnet_dr.data.flip import flip_light, flip_map, flip_normal
+from sfsnet_dr.data.photo_set import Photo, PhotoSet, hold_back, list_photos, load_photos
+from sfsnet_dr.data.pseudo_labels import SHARD, LabelFolder, Labels, Values, as_network_input, encoded
+from sfsnet_dr.model.outputs import Decomposition
+from sfsnet_dr.model.predict import predict
+from sfsnet_dr.model.weights import load_weights, read_metadata
+
+#: Deviations at which a pixel's confidence has fallen to a half.
+HALF_ANGLE: Final = math.radians(10)
+HALF_ALBEDO: Final = 0.1
+#: Shift of the jittered views, of the picture's width: 3 of 128 pixels.
+_SHIFT: Final = 3 / 128
+
+
+def pseudo_label(
+    photographs: Path | str,
+    weights: Path | str,
+    out: Path | str,
+    *,
+    size: int | None = None,
+    held_back: int = 500,
+    most: int | None = None,
+    on_shard: Callable[[int], object] = lambda _: None,
+) -> dict[str, Any]:
+    """Label a folder of photographs; one that was stopped is gone on with.
+
+    Args:
+        photographs: see ``data.photo_set``.
+        weights: of the network that answers. Its recipe says what a photograph's numbers are to it.
+        out: folder for the labels; made if missing.
+        size: width and height; the size that the weights were trained at if not given.
+        held_back: photographs kept for measuring; they are listed in the manifest and get no labels.
+        most: label no more than these many.
+        on_shard: called with the number of photographs that a shard took.
+
+    Returns:
+        The manifest: ``labelled`` (their number), ``held_back`` (names), ``skipped`` (reasons by name).
+
+    Raises:
+        BadInput: for unusable photographs or weights, or an ``out`` with other labels.
+    """
+    listed, skipped = list_photos(photographs)
+    train, held = hold_back(listed, held_back)
+    train = train[:most]
+    model, values = load_weights(weights), trained_values(weights)
+    spec = {
+        "weights": sha256(Path(weights)),
+        "size": size or trained_size(weights),
+        "values": values,
+        "photographs": hashlib.sha256("\n".join(photo.name for photo in train).encode()).hexdigest(),
+    }
+    folder = LabelFolder(output_dir(out), spec)
+    shards = [train[begin : begin + SHARD] for begin in range(0, len(train), SHARD)]
+    for number, shard in enumerate(shards):
+        if not folder.has(number):
+            _write_shard(folder, number, shard, model, values)
+        on_shard(len(shard))
+    return folder.finish(
+        len(shards), [photo.name for photo in held], {item.name: item.reason for item in skipped}
+    )
+
+
+def _write_shard(
+    folder: LabelFolder, number: int, shard: Sequence[Photo], model: nn.Module, values: Values
+) -> None:
+    read = load_photos(shard, folder.spec["size"])
+    reasons = {item.name: item.reason for item in read.skipped}
+    folder.write(number, label(model, read, values), read.names, read.hashes, reasons)
+
+
+def label(model: nn.Module, photographs: PhotoSet, values: Values = "linear") -> Labels:
+    """Label photographs in memory."""
+    if not len(photographs):
+        raise BadInput("photographs: none of a whole shard can be read; see whether their files are whole")
+    image = as_network_input(photographs.images, values)
+    answer, confidence = confident_answer(model, image)
+    return encoded(photographs.images, photographs.masks, confidence, *answer)
+
+
+def confident_answer(model: nn.Module, image: Tensor) -> tuple[Decomposition, Tensor]:
+    """The mean answer to four views of images (N, 3, S, S), and its confidence (N, 1, S, S) in [0, 1]."""
+    step = max(1, round(_SHIFT * image.shape[-1]))
+    answers = [
+        _answer(model, image, flip, shift)
+        for flip, shift in ((False, (0, 0)), (True, (0, 0)), (False, (step, -step)), (True, (step, step)))
+    ]
+    normal, albedo, light = (torch.stack(parts) for parts in zip(*answers, strict=True))
+    direction = normal.mean(0)
+    length = direction.square().sum(1, keepdim=True).sqrt()
+    # The mean squared distance of unit vectors to their mean direction is 2 (1 - |mean|).
+    angle = 2 * (1 - length).clamp_min(0) / HALF_ANGLE**2
+    mean = albedo.mean(0)
+    deviation = (albedo - mean).square().mean((0, 2))[:, None].sqrt() / (
+        mean.mean(1, keepdim=True).abs() + 0.05
+    )
+    confidence = 1 / (1 + angle) / (1 + (deviation / HALF_ALBEDO).square())
+    return Decomposition(direction / length.clamp_min(1e-6), mean, light.mean(0)), confidence
+
+
+def trained_size(weights: Path | str) -> int:
+    """Width of the images that weights were trained on, as the recipe in them says; 128 without one."""
+    data = read_metadata(weights).get("recipe", {}).get("data", {})
+    return int(data.get("size") or FACE_SIZE)
+
+
+def trained_values(weights: Path | str) -> Values:
+    """What a photograph's numbers are to a network, as the recipe in its weights says."""
+    found: Values = read_metadata(weights).get("recipe", {}).get("real", {}).get("values", "linear")
+    return found
+
+
+def _answer(model: nn.Module, image: Tensor, flip: bool, shift: tuple[int, int]) -> Decomposition:
+    """The answer to a view, in the frame of the image itself."""
+    view = _shifted(flip_map(image) if flip else image, shift)
+    normal, albedo, light = predict(model, view)
+    back = (-shift[0], -shift[1])
+    normal, albedo = _shifted(normal, back), _shifted(albedo, back)
+    if flip:
+        normal, albedo, light = flip_normal(normal), flip_map(albedo), flip_light(light)
+    return Decomposition(normal, albedo, light)
+
+
+def _shifted(image: Tensor, shift: tuple[int, int]) -> Tensor:
+    """Moved by whole pixels to the right and down; the border is repeated where nothing moves in."""
+    x, y = shift
+    if not (x or y):
+        return image
+    border = max(abs(x), abs(y))
+    height, width = image.shape[-2:]
+    padded = functional.pad(image, (border,) * 4, mode="replicate")
+    return padded[..., border - y : border - y + height, border - x : border - x + width]
