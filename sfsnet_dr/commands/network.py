@@ -35,6 +35,9 @@ class Train:
         Path | None,
         arg(metavar="DIR", help="Environment maps (.exr, .hdr) to light by, in place of the recipe's."),
     ] = None
+    labels: Annotated[
+        Path | None, arg(metavar="DIR", help="Photographs that `sfsnet-dr pseudo-label` labelled.")
+    ] = None
     resume: Annotated[bool, arg(help="Go on from the last checkpoint in --out.")] = False
     as_json: Json = False
 
@@ -51,7 +54,7 @@ class Train:
         if self.data is None:
             wanted = Synth(data, self.faces, scene=self.scene, resume=True)
             render_faces(wanted.spec(), wanted)
-        result = train(recipe, data, self.out, resume=self.resume, progress=True)
+        result = train(recipe, data, self.out, labels=self.labels, resume=self.resume, progress=True)
         records = [
             measured(f"train.loss.{dotted(term)}", value, "1", command=command_line(), seed=recipe.seed)
             for term, value in result.final.items()

@@ -180,6 +180,10 @@ class RelitFaces:
         orders = {e: np.random.default_rng([self.seed, 0, e]).permutation(count) for e in epochs}
         return [int(orders[place // count][place % count]) for place in places]
 
+    def names(self, step: int) -> list[str]:
+        """Faces of a batch."""
+        return [self.faces.names[index] for index in self.indices(step)]
+
     def batch(self, step: int) -> FaceBatch:
         """Batch number ``step``, relit and photographed, on the faces' device."""
         rng = np.random.default_rng([self.seed, 1, step])

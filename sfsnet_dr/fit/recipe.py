@@ -12,6 +12,7 @@ import torch
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.base.config import load_toml
 from sfsnet_dr.data.augment import Augmentation
+from sfsnet_dr.data.mixture import RealOptions
 from sfsnet_dr.loss.reconstruction import Backend
 from sfsnet_dr.loss.terms import LossWeights
 from sfsnet_dr.model.sfsnet import SfSNet
@@ -104,6 +105,9 @@ class Recipe:
         seed: of the initial weights and of every batch.
         checkpoint_every: steps between two checkpoints; the last step always writes one.
         most_skipped: steps with a loss or gradient that is not finite before the run fails.
+        model, data, optimiser, compute: the network, how rendered faces vary, Adam, and how it is computed.
+        loss: weights of the terms; ``real_loss`` those of real faces with pseudo-labels.
+        real: how photographs take part.
 
     Raises:
         BadInput: for a value out of its range.
@@ -117,12 +121,15 @@ class Recipe:
     model: ModelRecipe = field(default_factory=ModelRecipe)
     data: Augmentation = field(default_factory=Augmentation)
     loss: LossWeights = field(default_factory=LossWeights)
+    real: RealOptions = field(default_factory=RealOptions)
+    real_loss: LossWeights = field(default_factory=LossWeights)
     optimiser: OptimiserRecipe = field(default_factory=OptimiserRecipe)
     compute: ComputeRecipe = field(default_factory=ComputeRecipe)
 
     def __post_init__(self) -> None:
         _positive(self, "steps", "batch_size", "checkpoint_every")
         _not_negative(self, "seed", "most_skipped")
+        self.real.count(self.batch_size)
 
 
 def read_recipe(path: Path | str) -> Recipe:

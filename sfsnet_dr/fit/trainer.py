@@ -18,7 +18,10 @@ from sfsnet_dr.base.checks import BadInput, WorkFailed
 from sfsnet_dr.base.config import as_dict
 from sfsnet_dr.data.dataset import RelitFaces, load_faces
 from sfsnet_dr.data.light_bank import kept_bank
+from sfsnet_dr.data.mixture import MixedFaces, RealFaces
+from sfsnet_dr.data.pseudo_labels import load_pseudo_labels
 from sfsnet_dr.fit.checkpoint import Progress, load_checkpoint, save_checkpoint
+from sfsnet_dr.fit.collapse import PARTS, Watch
 from sfsnet_dr.fit.history import History, read_history
 from sfsnet_dr.fit.recipe import Recipe
 from sfsnet_dr.fit.signals import StopRequest
@@ -32,6 +35,10 @@ CHECKPOINT: Final = "checkpoint.safetensors"
 HISTORY: Final = "history.jsonl"
 LIGHTS: Final = "lights.npz"
 
+_TERMS: Final = (
+    "total", "recon", "normal", "albedo", "light", "real_recon", "real_normal", "real_albedo", "real_light",
+)  # fmt: skip
+
 #: Steps that ``first`` and ``final`` of a result are means over.
 WINDOW: Final = 20
 
@@ -43,7 +50,8 @@ class TrainResult:
     Args:
         weights: the network, for ``load_weights``.
         history: a line for every step, for ``read_history``.
-        first: means over the first ``WINDOW`` steps of total, recon, normal, albedo and light.
+        first: means over the first ``WINDOW`` steps of total, recon, normal, albedo and light, and of
+            real_recon and so on where photographs took part.
         final: the same over the last ``WINDOW`` steps.
         skipped: steps whose loss or gradient was not finite.
     """
@@ -56,7 +64,13 @@ class TrainResult:
 
 
 def train(
-    recipe: Recipe, data_dir: Path | str, out: Path | str, *, resume: bool = False, progress: bool = True
+    recipe: Recipe,
+    data_dir: Path | str,
+    out: Path | str,
+    *,
+    labels: Path | str | None = None,
+    resume: bool = False,
+    progress: bool = True,
 ) -> TrainResult:
     """Train a network on a folder of bundles, relit on the fly.
 
@@ -64,6 +78,7 @@ def train(
         recipe: everything that decides the result; it is stored with the weights.
         data_dir: folder with ``manifest.jsonl``.
         out: folder for weights, history and checkpoint; made if missing.
+        labels: folder of pseudo-labelled photographs, needed where the recipe's ``real.share`` is above 0.
         resume: go on from the checkpoint in ``out``. On one machine with one number of threads this gives
             the same bits as a run that was never stopped.
         progress: show a bar with the loss, images a second and the time left.
@@ -74,6 +89,7 @@ def train(
         WorkFailed: if too many steps were not finite, or SIGTERM came; the checkpoint is saved then.
         KeyboardInterrupt: on SIGINT, with the checkpoint saved.
     """
+    real = _real_faces(recipe, labels)
     faces = load_faces(data_dir, recipe.data.size)
     folder = output_dir(out)
     if not resume and (folder / CHECKPOINT).exists():
@@ -84,7 +100,9 @@ def train(
             folder / LIGHTS, recipe.data.light, recipe.data.lights, recipe.seed, lambda: bar.advance(lights)
         )
         bar.remove_task(lights)
-    run = _Run(recipe, RelitFaces(faces, recipe.batch_size, recipe.data, recipe.seed, bank), folder, resume)
+    rendered = recipe.batch_size - recipe.real.count(recipe.batch_size)
+    batches = RelitFaces(faces, rendered, recipe.data, recipe.seed, bank)
+    run = _Run(recipe, batches if real is None else MixedFaces(batches, real), folder, resume)
     with _bar(progress) as bar, StopRequest() as stop, History(folder / HISTORY, run.done.step) as history:
         task = bar.add_task("training", total=recipe.steps, completed=run.done.step, loss="", speed="")
         while run.done.step < recipe.steps:
@@ -99,15 +117,23 @@ def train(
 class _Run:
     """A run's changing state: the network, Adam and how far it is."""
 
-    def __init__(self, recipe: Recipe, batches: RelitFaces, folder: Path, resume: bool) -> None:
+    def __init__(self, recipe: Recipe, batches: RelitFaces | MixedFaces, folder: Path, resume: bool) -> None:
         self.recipe, self.folder, self.batches = recipe, folder, batches
         self.data = batches.fingerprint
+        self.watch = Watch()
         self.model = _make_model(recipe)
         decay = recipe.optimiser.weight_decay
         self.adam = torch.optim.Adam(self.model.parameters(), weight_decay=decay)
         self.done = Progress()
         if resume:
             self.done = load_checkpoint(folder / CHECKPOINT, self.model, self.adam, recipe, self.data)
+            self._look_back()
+
+    def _look_back(self) -> None:
+        """Show the watch what it saw before, so that a resumed run warns where an unstopped one would."""
+        for line in read_history(self.folder / HISTORY):
+            if line["step"] < self.done.step and "skipped" not in line:
+                self.watch.see(_spreads(line))
 
     def step(self, history: History) -> tuple[str, str]:
         """Do the next step, note it, and give the bar its texts: loss and speed."""
@@ -118,11 +144,15 @@ class _Run:
             batch = self.batches.batch(number)
             values = training_step(self.model, self.adam, batch, self.recipe, rate)
             speed = self.recipe.batch_size / (time.perf_counter() - started)
-            history.add(step=number, rate=rate, **values, images_per_second=round(speed, 2))
+            warning = self.watch.see(_spreads(values))
+            more = {"warning": warning} if warning else {}
+            history.add(step=number, rate=rate, **values, **more, images_per_second=round(speed, 2))
+            if warning:
+                Console(stderr=True).print(f"step {number}: {warning}", style="yellow", soft_wrap=True)
             texts = f"loss {values['total']:.4f}", f"{speed:.1f} images/s"
             self.done = replace(self.done, step=number + 1)
         except NotFinite as error:
-            names = [self.batches.faces.names[i] for i in self.batches.indices(number)]
+            names = self.batches.names(number)
             history.add(step=number, rate=rate, skipped=str(error), faces=names)
             texts = f"skipped: {error}", ""
             self.done = Progress(number + 1, self.done.skipped + 1)
@@ -153,6 +183,17 @@ class _Run:
             )
 
 
+def _real_faces(recipe: Recipe, labels: Path | str | None) -> RealFaces | None:
+    count = recipe.real.count(recipe.batch_size)
+    if (labels is None) != (count == 0):
+        found = "no folder of labels" if labels is None else f"the labels of {labels}"
+        raise BadInput(
+            f"real.share: {recipe.real.share:g} in the recipe and {found} found; a share above 0 and "
+            "--labels DIR (see `sfsnet-dr pseudo-label`) belong together"
+        )
+    return None if labels is None else RealFaces(load_pseudo_labels(labels), count, recipe.real, recipe.seed)
+
+
 def _make_model(recipe: Recipe) -> SfSNet:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(recipe.seed)
@@ -162,9 +203,13 @@ def _make_model(recipe: Recipe) -> SfSNet:
     return model.train()
 
 
+def _spreads(values: dict[str, Any]) -> dict[str, float]:
+    return {name: values[f"{name}_spread"] for name in PARTS}
+
+
 def _means(lines: list[dict[str, Any]]) -> dict[str, float]:
-    names = ("total", "recon", "normal", "albedo", "light")
-    return {name: sum(line[name] for line in lines) / len(lines) for name in names} if lines else {}
+    names = [name for name in _TERMS if lines and name in lines[0]]
+    return {name: sum(line[name] for line in lines) / len(lines) for name in names}
 
 
 def _raise_stopped(number: signal.Signals, folder: Path, step: int) -> None:

@@ -47,6 +47,7 @@ def sfsnet_loss(
     target: FaceBatch,
     weights: LossWeights | None = None,
     backend: Backend = "drjit",
+    confidence: Tensor | None = None,
 ) -> LossTerms:
     """The paper's total loss, eq. 2, with its terms.
 
@@ -55,6 +56,10 @@ def sfsnet_loss(
         target: ground truth or pseudo-labels; constants, they get no gradient.
         weights: the paper's if none are given.
         backend: who computes the reconstruction term, see ``reconstruction_l1``.
+        confidence: (B, 1, H, W) in [0, 1], how far the labels are trusted; fully if not given. It weights the
+            errors of normals and albedo but not the number that they are divided by, so that faces with
+            doubtful labels pull less; light is weighted by the mean over its face. Reconstruction, which
+            needs no label, is not.
 
     Raises:
         BadInput: naming the field whose shape does not fit.
@@ -66,17 +71,28 @@ def sfsnet_loss(
     check_shape("prediction.albedo", prediction.albedo, "B 3 H W", B=batch, H=height, W=width)
     check_shape("prediction.light", prediction.light, f"B {LIGHT_SIZE}", B=batch)
     recon = reconstruction_l1(*prediction, target.image, target.mask, backend=backend)
-    normal = masked_l1(prediction.normal, target.normal, target.mask)
-    albedo = masked_l1(prediction.albedo, target.albedo, target.mask)
-    light = (_at_least_float32(prediction.light) - target.light.detach()).square().mean()
+    normal = masked_l1(prediction.normal, target.normal, target.mask, confidence)
+    albedo = masked_l1(prediction.albedo, target.albedo, target.mask, confidence)
+    light = _light_l2(prediction.light, target, confidence)
     total = weights.recon * recon + weights.normal * normal + weights.albedo * albedo + weights.light * light
     return LossTerms(total, recon, normal, albedo, light)
 
 
-def masked_l1(predicted: Tensor, target: Tensor, mask: Tensor) -> Tensor:
-    """sum mask |predicted - target| / max(C sum mask, 1) over (B, C, H, W) with mask (B, 1, H, W)."""
+def masked_l1(predicted: Tensor, target: Tensor, mask: Tensor, confidence: Tensor | None = None) -> Tensor:
+    """sum mask confidence |predicted - target| / max(C sum mask, 1) over (B, C, H, W), mask (B, 1, H, W)."""
     difference = (_at_least_float32(predicted) - target.detach()).abs()
-    return (mask.detach() * difference).sum() / (predicted.shape[1] * mask.detach().sum()).clamp_min(1)
+    weight = mask.detach() if confidence is None else (mask * confidence).detach()
+    return (weight * difference).sum() / (predicted.shape[1] * mask.detach().sum()).clamp_min(1)
+
+
+def _light_l2(predicted: Tensor, target: FaceBatch, confidence: Tensor | None) -> Tensor:
+    """Mean squared error of the coefficients, each face weighted by its mean confidence."""
+    squared = (_at_least_float32(predicted) - target.light.detach()).square()
+    if confidence is None:
+        return squared.mean()
+    check_shape("confidence", confidence, "B 1 H W", B=len(target.mask))
+    face = target.mask.sum((1, 2, 3)).clamp_min(1)
+    return (squared * ((target.mask * confidence).sum((1, 2, 3)) / face)[:, None]).mean()
 
 
 def _at_least_float32(tensor: Tensor) -> Tensor:

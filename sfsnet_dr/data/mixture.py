@@ -1,0 +1,156 @@
+"""Mini-batches of two kinds of faces: rendered ones with their truth, real ones with pseudo-labels.
+
+Source: Sengupta et al., CVPR 2018, section 3 ("SfS-supervision"): every mini-batch mixes both, so that batch
+normalisation sees one distribution and no step forgets either.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.data.batch import FaceBatch
+from sfsnet_dr.data.dataset import RelitFaces
+from sfsnet_dr.data.flip import flip_light, flip_map, flip_normal
+from sfsnet_dr.data.pseudo_labels import Labels, PseudoFaces, Values, as_network_input, decoded
+
+
+@dataclass(frozen=True)
+class RealOptions:
+    """How photographs take part in training.
+
+    Attributes:
+        share: of each mini-batch; 0 for rendered faces alone.
+        flip: probability of a left-right reflection.
+        darker: greatest change of exposure, in stops, always down: what is clipped cannot be brought back.
+        values: what a photograph's numbers are to the network; "display" is the paper's form.
+
+    Raises:
+        BadInput: for a value out of its range.
+    """
+
+    share: float = 0.0
+    flip: float = 0.5
+    darker: float = 0.5
+    values: Values = field(default="linear")
+
+    def __post_init__(self) -> None:
+        for name, largest in (("share", 1.0), ("flip", 1.0), ("darker", 8.0)):
+            value = getattr(self, name)
+            if not 0 <= value <= largest:
+                raise BadInput(f"real.{name}: {value:g} found, 0 to {largest:g} allowed")
+
+    def count(self, batch_size: int) -> int:
+        """Photographs in a mini-batch.
+
+        Raises:
+            BadInput: if a share above 0 makes a batch of one kind only.
+        """
+        count = round(self.share * batch_size)
+        if self.share and not 0 < count < batch_size:
+            raise BadInput(
+                f"real.share: {self.share:g} of {batch_size} images is {count}; both kinds are needed"
+            )
+        return count
+
+
+class MixedBatch(NamedTuple):
+    """Labelled faces, then real ones whose labels are trusted as far as ``confidence`` (B, 1, H, W) says."""
+
+    labelled: FaceBatch
+    real: FaceBatch
+    confidence: Tensor
+
+    @property
+    def image(self) -> Tensor:
+        """All images, the labelled ones first."""
+        return torch.cat([self.labelled.image, self.real.image])
+
+
+class RealFaces:
+    """Batches of photographs with pseudo-labels; batch k depends on the seed and k alone.
+
+    Args:
+        faces: what ``load_pseudo_labels`` gives, on any device; batches are made there.
+        batch_size: photographs a batch.
+        options: how they vary.
+        seed: chooses the sequence.
+
+    Raises:
+        BadInput: if the labels were made with another meaning of a photograph's numbers.
+    """
+
+    def __init__(self, faces: PseudoFaces, batch_size: int, options: RealOptions, seed: int) -> None:
+        found = faces.spec.get("values")
+        if found != options.values:
+            raise BadInput(
+                f"real.values: {options.values!r} found, the pseudo-labels were made with {found!r}"
+            )
+        self.faces, self.batch_size, self.options, self.seed = faces, batch_size, options, seed
+
+    def indices(self, step: int) -> list[int]:
+        """Photographs of a batch: stretches of one random permutation an epoch."""
+        places = range(step * self.batch_size, (step + 1) * self.batch_size)
+        count = len(self.faces)
+        epochs = {place // count for place in places}
+        orders = {e: np.random.default_rng([self.seed, 10, e]).permutation(count) for e in epochs}
+        return [int(orders[place // count][place % count]) for place in places]
+
+    def names(self, step: int) -> list[str]:
+        """Photographs of a batch."""
+        return [self.faces.names[index] for index in self.indices(step)]
+
+    def batch(self, step: int) -> tuple[FaceBatch, Tensor]:
+        """Batch number ``step`` and the confidence of its labels (B, 1, H, W)."""
+        rng = np.random.default_rng([self.seed, 11, step])
+        device = self.faces.labels.image.device
+        rows = torch.tensor(self.indices(step), device=device)
+        picked = Labels(*(part.index_select(0, rows) for part in self.faces.labels))
+        shown = decoded(picked)
+        flips = torch.from_numpy(rng.uniform(size=len(rows)) < self.options.flip).to(device)
+        stops = torch.from_numpy(rng.uniform(-self.options.darker, 0, len(rows))).float().to(device)
+        gain = 2.0**stops
+        image = as_network_input(picked.image, self.options.values) * gain[:, None, None, None]
+        maps = (image, shown.albedo, shown.mask, shown.confidence)
+        planes = flips[:, None, None, None]
+        image, albedo, mask, confidence = (torch.where(planes, flip_map(part), part) for part in maps)
+        normal = torch.where(planes, flip_normal(shown.normal), shown.normal)
+        light = torch.where(flips[:, None], flip_light(shown.light), shown.light) * gain[:, None]
+        return FaceBatch(image, normal, albedo, light, mask), confidence
+
+
+class MixedFaces:
+    """Batches of both kinds; batch k depends on the two sequences' seeds and k alone.
+
+    Raises:
+        BadInput: if the two have pictures of different sizes.
+    """
+
+    def __init__(self, labelled: RelitFaces, real: RealFaces) -> None:
+        found, size = (tuple(part.shape[-2:]) for part in (real.faces.labels.image, labelled.faces.normal))
+        if found != size:
+            raise BadInput(
+                f"pseudo-labels: {found[0]} x {found[1]} pixels found, {size[0]} x {size[1]} as the "
+                "rendered faces have is needed; label the photographs at that --size"
+            )
+        self.labelled, self.real = labelled, real
+
+    @property
+    def fingerprint(self) -> str:
+        """Of all data."""
+        both = self.labelled.fingerprint + self.real.faces.fingerprint
+        return hashlib.sha256(both.encode()).hexdigest()
+
+    def batch(self, step: int) -> MixedBatch:
+        """Batch number ``step``."""
+        return MixedBatch(self.labelled.batch(step), *self.real.batch(step))
+
+    def names(self, step: int) -> list[str]:
+        """The faces and photographs of a batch."""
+        return self.labelled.names(step) + self.real.names(step)

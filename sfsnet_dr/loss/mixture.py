@@ -1,0 +1,39 @@
+"""The training loss over a batch of rendered and real faces."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from sfsnet_dr.data.mixture import MixedBatch
+from sfsnet_dr.loss.reconstruction import Backend
+from sfsnet_dr.loss.terms import LossTerms, LossWeights, sfsnet_loss
+from sfsnet_dr.model.outputs import Decomposition
+
+
+def mixed_loss(
+    prediction: Decomposition,
+    target: MixedBatch,
+    labelled_weights: LossWeights,
+    real_weights: LossWeights,
+    backend: Backend = "drjit",
+) -> tuple[Tensor, LossTerms, LossTerms]:
+    """The mean over all faces of a batch, each kind with weights of its own.
+
+    Args:
+        prediction: for ``target.image``, that is for the labelled faces first.
+        target: both kinds.
+        labelled_weights: of the terms of labelled faces.
+        real_weights: of the terms of real faces; reconstruction against the photograph counts wherever their
+            mask is, pseudo-supervision as far as it is trusted.
+        backend: who computes the reconstruction terms.
+
+    Returns:
+        Total, terms of the labelled faces, terms of the real ones.
+    """
+    count, real = len(target.labelled.image), len(target.real.image)
+    first = Decomposition(*(part[:count] for part in prediction))
+    second = Decomposition(*(part[count:] for part in prediction))
+    labelled_terms = sfsnet_loss(first, target.labelled, labelled_weights, backend)
+    real_terms = sfsnet_loss(second, target.real, real_weights, backend, target.confidence)
+    total = (count * labelled_terms.total + real * real_terms.total) / (count + real)
+    return total, labelled_terms, real_terms
