@@ -14,11 +14,12 @@ from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.base.imageio import read_exr, write_exr
 from sfsnet_dr.cli import main
 from sfsnet_dr.render.registry import find_renderer
+from sfsnet_dr.scene.spec import SamplingSpec
 from sfsnet_dr.study.regress import plant
 from sfsnet_dr.study.regress.defects import DEFECTS, Planted
 from sfsnet_dr.study.regress.diagnose import diagnose
 from sfsnet_dr.study.regress.matrix import compare, models, run_matrix, subjects
-from sfsnet_dr.study.regress.references import References, light_hash, make_references
+from sfsnet_dr.study.regress.references import References, light_hash, make_references, scene_hash
 from sfsnet_dr.study.regress.spec import CONFIG, REFERENCES, RegressSpec, SceneLights, chosen, read_spec
 from sfsnet_dr.study.regress.truth import Truths
 
@@ -153,6 +154,18 @@ def test_a_light_is_known_by_its_numbers() -> None:
     (_, [light]) = next(iter(subjects(replace(SMALL, scenes=GROUND[:1]))))
     assert light_hash(light) == light_hash(light.scaled(1 + 1e-12))
     assert light_hash(light) != light_hash(light.turned(np.diag([-1.0, -1.0, 1.0])))
+
+
+def test_a_scene_is_known_by_what_its_file_says() -> None:
+    [(subject, _)] = subjects(replace(SMALL, scenes=GROUND[:1]))
+    same = replace(subject, spec=replace(subject.spec, sampling=SamplingSpec(reference=2)))
+    assert scene_hash(subject) == scene_hash(same)
+    for other in (
+        replace(subject, seed=1),
+        replace(subject, spec=replace(subject.spec, albedo=(0.5, 0.5, 0.51))),
+        replace(subject, spec=replace(subject.spec, camera=replace(subject.spec.camera, distance=11.0))),
+    ):
+        assert scene_hash(other) != scene_hash(subject)
 
 
 def test_the_matrix_of_the_repository_is_sound() -> None:

@@ -6,18 +6,19 @@ scene holds its maps. Their metadata says what they were made from; what does no
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
+import json
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from sfsnet_dr.base.atomic import output_dir
 from sfsnet_dr.base.checks import BadInput
-from sfsnet_dr.base.config import fingerprint
 from sfsnet_dr.base.imageio import read_exr, write_exr
 from sfsnet_dr.base.provenance import versions
 from sfsnet_dr.render.agreement import Estimate
@@ -158,9 +159,34 @@ def light_hash(light: SceneLight) -> str:
     return digest.hexdigest()[:16]
 
 
+def scene_hash(subject: Subject) -> str:
+    """A short hash of what a scene's file says about surface and camera, and of the seed.
+
+    What it leaves at its default does not count, so that a new option does not make references useless; nor
+    do its sampling and its own lights, which a reference does not use.
+    """
+    said = {k: v for k, v in _said(subject.spec).items() if k not in ("sampling", "light")}
+    text = json.dumps([said, subject.seed], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _said(spec: Any) -> dict[str, Any]:
+    """The values of a dataclass that are not its defaults, nested ones likewise."""
+    found = {}
+    for field in dataclasses.fields(spec):
+        value = getattr(spec, field.name)
+        if dataclasses.is_dataclass(value):
+            inner = _said(value)
+            if inner:
+                found[field.name] = inner
+        elif field.default is dataclasses.MISSING or value != field.default:
+            found[field.name] = value
+    return found
+
+
 def _identity(subject: Subject, light: SceneLight | None) -> dict[str, str]:
     """What a reference has to have been made for."""
-    scene = {"scene hash": f"{fingerprint(subject.spec)}-{subject.seed}"}
+    scene = {"scene hash": scene_hash(subject)}
     lit = {} if light is None else {"light hash": light_hash(light)}
     return {"format": FORMAT, **scene, **lit, "mitsuba": versions(["mitsuba"]).get("mitsuba", "none")}
 
