@@ -1,8 +1,8 @@
-"""The photometric reconstruction loss, one interface for its Dr.Jit kernel and its torch twin."""
+"""The photometric reconstruction loss, one interface for its Dr.Jit kernel and its twins."""
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Final, Literal, get_args
 
 from torch import Tensor
 
@@ -10,7 +10,9 @@ from sfsnet_dr.base.checks import BadInput, check_shape, nearest
 from sfsnet_dr.render.shading_inputs import COLOURS
 from sfsnet_dr.render.shading_torch import match
 
-Backend = Literal["drjit", "torch"]
+#: ``drjit``: one fast kernel. ``drjit-plain``: its readable twin (CPU). ``torch``: any device and derivative.
+Backend = Literal["drjit", "drjit-plain", "torch"]
+BACKENDS: Final[tuple[Backend, ...]] = get_args(Backend)
 
 
 def reconstruction_l1(
@@ -21,6 +23,7 @@ def reconstruction_l1(
     mask: Tensor,
     *,
     backend: Backend = "drjit",
+    expected_gradient: float = 1,
 ) -> Tensor:
     """Masked mean of |image - f_render(normal, albedo, light)| over pixels and colours.
 
@@ -35,7 +38,9 @@ def reconstruction_l1(
         light: shading coefficients (B, 3K), order 0 to 4.
         image: (B, 3, H, W), linear. A constant: it gets no gradient.
         mask: (B, 1, H, W), weights from 0 to 1. A constant: it gets no gradient.
-        backend: ``"drjit"`` (CPU, first derivatives) or ``"torch"`` (any device, any derivative).
+        backend: one of ``BACKENDS``; the Dr.Jit ones have first derivatives only.
+        expected_gradient: what the caller will multiply the loss by. ``"drjit"`` computes gradients in the
+            forward pass and saves a pass over them if this is right; results do not depend on it.
 
     Returns:
         Scalar tensor; float64 if normal, albedo or light is, else float32. It is 0 for an empty mask. The
@@ -50,9 +55,13 @@ def reconstruction_l1(
     check_shape("mask", mask, "B 1 H W", **sizes)
     image, mask = image.detach().to(normal.dtype), mask.detach().to(normal.dtype)
     if backend == "drjit":
-        from sfsnet_dr.loss.reconstruction_drjit import masked_l1_sum
+        from sfsnet_dr.loss.reconstruction_drjit import masked_l1_mean
+
+        return masked_l1_mean(normal, albedo, light, image, mask, expected_gradient)
+    if backend == "drjit-plain":
+        from sfsnet_dr.loss.reconstruction_drjit_plain import masked_l1_sum
     elif backend == "torch":
         from sfsnet_dr.loss.reconstruction_torch import masked_l1_sum
     else:
-        raise BadInput(f"backend: {backend!r} found; {nearest(str(backend), ('drjit', 'torch'))}")
+        raise BadInput(f"backend: {backend!r} found; {nearest(str(backend), BACKENDS)}")
     return masked_l1_sum(normal, albedo, light, image, mask) / (COLOURS * mask.sum()).clamp_min(1)

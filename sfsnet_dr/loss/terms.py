@@ -70,7 +70,9 @@ def sfsnet_loss(
     check_shape("prediction.normal", prediction.normal, "B 3 H W", B=batch, H=height, W=width)
     check_shape("prediction.albedo", prediction.albedo, "B 3 H W", B=batch, H=height, W=width)
     check_shape("prediction.light", prediction.light, f"B {LIGHT_SIZE}", B=batch)
-    recon = reconstruction_l1(*prediction, target.image, target.mask, backend=backend)
+    recon = reconstruction_l1(
+        *prediction, target.image, target.mask, backend=backend, expected_gradient=weights.recon
+    )
     normal = masked_l1(prediction.normal, target.normal, target.mask, confidence)
     albedo = masked_l1(prediction.albedo, target.albedo, target.mask, confidence)
     light = _light_l2(prediction.light, target, confidence)

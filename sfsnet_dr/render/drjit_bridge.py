@@ -42,13 +42,22 @@ class _FirstOrder(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         runtime.check_process()
-        if torch.is_grad_enabled():
-            raise RuntimeError(
-                "the Dr.Jit renderer has first-order derivatives only, create_graph=True was asked of it; "
-                "use the torch form for second derivatives"
-            )
+        first_order_only()
         inputs = ctx.saved_tensors
         return (grads[0].contiguous(), *(None for _ in inputs))
+
+
+def first_order_only() -> None:
+    """Called in a backward pass: refuse to be part of a graph for second derivatives.
+
+    Raises:
+        RuntimeError: if torch is recording one.
+    """
+    if torch.is_grad_enabled():
+        raise RuntimeError(
+            "the Dr.Jit renderer has first-order derivatives only, create_graph=True was asked of it; "
+            "use the torch form for second derivatives"
+        )
 
 
 def from_torch(kernel: Callable[..., Any]) -> Callable[..., Tensor]:

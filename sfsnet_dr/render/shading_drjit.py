@@ -1,26 +1,27 @@
-"""Order-n Lambertian shading in Dr.Jit: the contract of the NumPy and torch forms, orders 0 to 4.
+"""Order-n Lambertian shading by one Dr.Jit kernel a call: the contract of the NumPy and torch forms.
 
-Plain and readable on purpose: the SH polynomials are written out, there is no symbolic loop (its gradients
-inside ``dr.wrap`` are wrong), and one kernel serves the whole batch. ``shading_planes`` and ``render_planes``
-work on Dr.Jit arrays, for kernels that go on computing with the image, such as the loss.
+The fast form; ``shading_drjit_plain`` is its readable twin and says the same with ``dr.wrap``. Values and
+gradients are separate kernels (``drjit_pixel``) over all pixels of a batch (``drjit_lanes``), recorded once
+and then replayed by ``@dr.freeze``. Tensors are read where they lie, plane by plane or channels-last.
 
 Source: Sengupta et al., CVPR 2018, eq. 1 and the appendix on spherical harmonics.
 """
 
 from __future__ import annotations
 
-import math
-from typing import Any
+import functools
+from collections.abc import Callable
+from typing import Any, cast
 
+import torch
 from torch import Tensor
 
-from sfsnet_dr.base.conventions import NORMAL_EPSILON
-from sfsnet_dr.render.drjit_bridge import from_torch
-from sfsnet_dr.render.drjit_layout import from_planes, planes, spread
+from sfsnet_dr.render.drjit_bridge import first_order_only
+from sfsnet_dr.render.drjit_call import Call, Signature, frozen, plain
+from sfsnet_dr.render.drjit_lanes import Lanes, Source, sweep
+from sfsnet_dr.render.drjit_pixel import Shaded, unfolded
 from sfsnet_dr.render.shading_inputs import COLOURS
 from sfsnet_dr.render.shading_torch import match, match_shading
-from sfsnet_dr.scene.jit import dr
-from sfsnet_dr.sh.polynomials import sh_polynomials
 
 
 def shading(normal: Tensor, light: Tensor) -> Tensor:
@@ -29,85 +30,100 @@ def shading(normal: Tensor, light: Tensor) -> Tensor:
     Convention: camera frame; basis order of ``sh.basis``; light 9 R, 9 G, 9 B at order 2.
 
     Args:
-        normal: (B, 3, H, W) on the CPU, any length: they are normalised here.
+        normal: (B, 3, H, W) on the CPU or a CUDA device, any length: they are normalised here.
         light: shading coefficients (B, 3K), K = (order + 1)^2, order 0 to 4. A batch of 1 broadcasts.
 
     Returns:
-        (B, 3, H, W), linear; float64 if an argument is, else float32. Differentiable once, backwards, in
-        both arguments, with the same bits in every run.
+        (B, 3, H, W), linear, in the memory layout of ``normal``; float64 if an argument is, else float32.
+        Differentiable once, backwards, in both arguments, with the same bits in every run.
 
     Raises:
-        BadInput: naming the argument whose shape does not fit, or a tensor that is not on the CPU.
+        BadInput: naming the argument whose shape does not fit, or a tensor on another device.
     """
-    return _shading(*match_shading(normal, light))
+    normal, light = match_shading(normal, light)
+    return cast(Tensor, _Render.apply(plain(normal), None, plain(light)))  # type: ignore[no-untyped-call]
 
 
 def f_render(normal: Tensor, albedo: Tensor, light: Tensor) -> Tensor:
     """The paper's f_render: image = albedo * S(normal, light), linear and unclamped.
 
     Args:
-        normal: (B, 3, H, W) on the CPU, any length.
+        normal: (B, 3, H, W) on the CPU or a CUDA device, any length.
         albedo: (B, 3, H, W), linear.
         light: shading coefficients (B, 3K), order 0 to 4. A batch of 1 broadcasts.
 
     Returns:
-        (B, 3, H, W); float64 if an argument is, else float32. Differentiable once, backwards, in all three
-        arguments, with the same bits in every run.
+        (B, 3, H, W), in the memory layout of ``normal``; float64 if an argument is, else float32.
+        Differentiable once, backwards, in all three arguments, with the same bits in every run.
 
     Raises:
-        BadInput: naming the argument whose shape does not fit, or a tensor that is not on the CPU.
+        BadInput: naming the argument whose shape does not fit, or a tensor on another device.
     """
-    return _render(*match(normal, albedo, light))
+    inputs = [plain(x) for x in match(normal, albedo, light)]
+    return cast(Tensor, _Render.apply(*inputs))  # type: ignore[no-untyped-call]
 
 
-def shading_planes(normal: list[Any], light: list[Any]) -> list[Any]:
-    """Shading of each colour on Dr.Jit arrays.
+class _Render(torch.autograd.Function):
+    """f_render, or the shading alone where there is no albedo."""
 
-    Args:
-        normal: planes x, y, z, any length.
-        light: 3K planes or single values: K of red, K of green, K of blue.
+    @staticmethod
+    def forward(ctx: Any, normal: Tensor, albedo: Tensor | None, light: Tensor) -> Tensor:
+        ctx.save_for_backward(normal, albedo, light)
+        call = Call([normal] if albedo is None else [normal, albedo], light)
+        (array,) = call.launch(_forward(call.signature), 0, normal.numel())
+        return call.image(0, array)
 
-    Returns:
-        3 planes: red, green, blue.
-    """
-    x, y, z = _shortened(*normal)
-    inverse_length = 1 / dr.sqrt(dr.maximum(x * x + y * y + z * z, NORMAL_EPSILON))
-    order = math.isqrt(len(light) // COLOURS) - 1
-    basis = sh_polynomials(x * inverse_length, y * inverse_length, z * inverse_length, order)
-    count = len(basis)
-    return [_dot(basis, light[c * count : (c + 1) * count]) for c in range(COLOURS)]
-
-
-def render_planes(normal: list[Any], albedo: list[Any], light: list[Any]) -> list[Any]:
-    """f_render on Dr.Jit arrays: 3 planes from 3 planes, 3 planes and 3K planes or single values."""
-    return [a * s for a, s in zip(albedo, shading_planes(normal, light), strict=True)]
+    @staticmethod
+    def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
+        first_order_only()
+        normal, albedo, light = ctx.saved_tensors
+        images = [normal] if albedo is None else [normal, albedo]
+        call = Call([*images, plain(upstream[0])], light)
+        *arrays, sums = call.launch(_backward(call.signature), light.shape[1], normal.numel())
+        grads = [call.image(k, array) for k, array in enumerate(arrays)]
+        return grads[0], (None if albedo is None else grads[1]), call.per_image(sums, light.shape[1])
 
 
-def _shading_kernel(normal: Any, light: Any) -> Any:
-    batch, channels, height, width = normal.shape
-    values = shading_planes(planes(normal), spread(light, height * width))
-    return from_planes(values, (batch, channels, height, width))
+@functools.cache
+def _forward(what: Signature) -> Callable[..., Any]:
+    @frozen
+    def kernel(lanes: Lanes, sources: list[Source], light: Source, size: int) -> list[Any]:
+        coefficients = what.load_light(lanes, light)
+
+        def pixel(read: list[list[Any]], sums: list[Any]) -> tuple[list[list[Any]], list[Any]]:
+            shaded = Shaded(read[0], coefficients)
+            values = [shaded.shading(c) for c in range(COLOURS)]
+            if len(read) == 2:
+                values = [a * s for a, s in zip(read[1], values, strict=True)]
+            return [values], sums
+
+        return sweep(
+            what.kinds, what.packet, lanes, what.reads(sources), [(what.layouts[0], size)], 0, pixel
+        )[0]
+
+    return kernel
 
 
-def _render_kernel(normal: Any, albedo: Any, light: Any) -> Any:
-    batch, channels, height, width = normal.shape
-    values = render_planes(planes(normal), planes(albedo), spread(light, height * width))
-    return from_planes(values, (batch, channels, height, width))
+@functools.cache
+def _backward(what: Signature) -> Callable[..., Any]:
+    @frozen
+    def kernel(lanes: Lanes, sources: list[Source], light: Source, size: int) -> list[Any]:
+        coefficients = what.load_light(lanes, light)
 
+        def pixel(read: list[list[Any]], sums: list[Any]) -> tuple[list[list[Any]], list[Any]]:
+            shaded, upstream, sums = Shaded(read[0], coefficients), read[-1], list(sums)
+            of_albedo = []
+            for c in range(COLOURS):
+                if len(read) == 3:
+                    of_albedo.append(upstream[c] * shaded.shading(c))
+                    shaded.send(c, upstream[c] * read[1][c], sums)
+                else:
+                    shaded.send(c, upstream[c], sums)
+            return [shaded.normal_gradient(), of_albedo], sums
 
-def _shortened(x: Any, y: Any, z: Any) -> tuple[Any, Any, Any]:
-    """Long vectors shortened, the others as they are; see ``shading_torch.unit``."""
-    longest = dr.maximum(dr.maximum(dr.abs(x), dr.abs(y)), dr.abs(z))
-    factor = 1 / dr.maximum(dr.detach(longest), 1)
-    return x * factor, y * factor, z * factor
+        outputs = [(layout, size) for layout in what.layouts[:-1]]
+        reads = what.reads(sources)
+        arrays, sums = sweep(what.kinds, what.packet, lanes, reads, outputs, what.light_size, pixel, unfolded)
+        return [*arrays, sums]
 
-
-def _dot(basis: list[Any], coefficients: list[Any]) -> Any:
-    total = basis[0] * coefficients[0]
-    for value, coefficient in zip(basis[1:], coefficients[1:], strict=True):
-        total = dr.fma(value, coefficient, total)
-    return total
-
-
-_shading = from_torch(_shading_kernel)
-_render = from_torch(_render_kernel)
+    return kernel
