@@ -43,7 +43,7 @@ class _MaskedL1(torch.autograd.Function):
         if not any(ctx.needs_input_grad):
             return _value(*tensors)
         ctx.save_for_backward(*tensors)
-        loss, ctx.grads = _value_and_gradients(ctx.expected, *tensors)
+        loss, ctx.grads = value_and_gradients(ctx.expected, *tensors)
         return loss
 
     @staticmethod
@@ -52,7 +52,7 @@ class _MaskedL1(torch.autograd.Function):
         # Given away, so that torch may keep them without a copy. Who comes again has them computed again.
         grads, ctx.grads = ctx.grads, None
         if grads is None:
-            _, grads = _value_and_gradients(ctx.expected, *ctx.saved_tensors)
+            _, grads = value_and_gradients(ctx.expected, *ctx.saved_tensors)
         factor = upstream[0] / ctx.expected
         if factor.device.type != "cpu" or float(factor) != 1:  # on a GPU, asking would mean waiting
             grads = [g.mul_(factor) for g in grads]
@@ -65,18 +65,27 @@ def _value(normal: Tensor, albedo: Tensor, light: Tensor, image: Tensor, mask: T
     return call.per_image(sums, 1).sum()
 
 
-def _value_and_gradients(
-    expected: float, normal: Tensor, albedo: Tensor, light: Tensor, image: Tensor, mask: Tensor
+def value_and_gradients(
+    expected: float,
+    normal: Tensor,
+    albedo: Tensor,
+    light: Tensor,
+    image: Tensor,
+    mask: Tensor,
+    **tuning: int,
 ) -> tuple[Tensor, list[Tensor]]:
-    """The loss, and ``expected`` times its gradients by normal, albedo and light."""
-    call = Call([normal, albedo, image, mask], light, dense=1)
-    count = light.shape[1]
+    """The loss, and ``expected`` times its gradients by normal, albedo and light.
+
+    Args:
+        tuning: ``packet`` and ``run`` of ``Call``, for experiments.
+    """
+    call = Call([normal, albedo, image, mask], light, dense=1, **tuning)
     factor = real(call.signature.kinds, expected)
     kernel = _gradient_kernel(call.signature)
-    of_normal, of_albedo, sums = call.launch(kernel, count + 1, factor, normal.numel())
-    rows = call.per_image(sums, count + 1)
-    gradients = [call.image(0, of_normal), call.image(1, of_albedo), rows[:, 1:]]
-    return rows[:, 0].sum(), gradients
+    sums = light.shape[1] + 1
+    of_normal, of_albedo, rows = call.launch(kernel, sums, factor, normal.numel())
+    summed = call.per_image(rows, sums)
+    return summed[:, 0].sum(), [call.image(0, of_normal), call.image(1, of_albedo), summed[:, 1:]]
 
 
 @functools.cache

@@ -90,3 +90,22 @@ def _plain(x: Tensor) -> Tensor:
     if x.device.type != "cpu":
         raise BadInput(f"tensor on {x.device} found, cpu expected by the Dr.Jit form; use the torch form")
     return x.as_subclass(Tensor).contiguous()
+
+
+def kernel_milliseconds(call: Callable[[], Any]) -> float:
+    """Time that Dr.Jit's kernels took within one call, without tracing and launching."""
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        call()
+        history = dr.kernel_history()
+    kinds = (dr.KernelType.JIT, dr.KernelType.BlockReduce)
+    return float(sum(entry["execution_time"] for entry in history if entry["type"] in kinds))
+
+
+def kernels_compiled(call: Callable[[], Any]) -> int:
+    """Kernels that had to be compiled within a call, or loaded from disk."""
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        call()
+        history = dr.kernel_history((dr.KernelType.JIT,))
+    return sum(not entry.get("cache_hit", True) or bool(entry.get("cache_disk")) for entry in history)

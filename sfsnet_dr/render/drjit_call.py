@@ -1,4 +1,4 @@
-"""One call of a kernel of ``drjit_lanes`` from torch: which kernel fits the tensors, its inputs, its results."""
+"""One call of a kernel of ``drjit_lanes`` from torch: the kernel that fits, its inputs and its results."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ import torch
 from torch import Tensor
 
 from sfsnet_dr.base import runtime
-from sfsnet_dr.render.drjit_lanes import GROUP, Lanes, Source, lanes, number, row_length
+from sfsnet_dr.render.drjit_lanes import GROUP, RUN, Lanes, Source, lanes, number, row_length
 from sfsnet_dr.render.drjit_memory import (
+    PACKET,
     Layout,
     Types,
     packet_size,
@@ -61,8 +62,16 @@ class Signature(NamedTuple):
 class Call:
     """A kernel's inputs: images (B, C, H, W) of one shape but for C, and light (B, 3K), all of one dtype."""
 
-    def __init__(self, images: Sequence[Tensor], light: Tensor, dense: int = 0) -> None:
-        """``dense``: how many of the last images have to lie without gaps.
+    def __init__(
+        self,
+        images: Sequence[Tensor],
+        light: Tensor,
+        dense: int = 0,
+        *,
+        packet: int = PACKET,
+        run: int = RUN,
+    ) -> None:
+        """``dense``: how many of the last images have to lie without gaps; packet, run: for experiments.
 
         Raises:
             BadInput: for a device or dtype that Dr.Jit does not have, or in a process that was forked after
@@ -70,9 +79,9 @@ class Call:
         """
         runtime.check_process()
         first = images[0]
-        self._shape, self._images = tuple(first.shape), images
+        self._shape, self._images, self._run = tuple(first.shape), images, run
         pixels = first.shape[2] * first.shape[3]
-        kinds, packet = types(first.device.type, first.dtype), packet_size(pixels)
+        kinds, packet = types(first.device.type, first.dtype), packet_size(pixels, packet)
         views = [view(x, packet, dense=k >= len(images) - dense) for k, x in enumerate(images)]
         self.signature = Signature(kinds, packet, light.shape[1], tuple(v.layout for v in views))
         self.sources = [
@@ -95,7 +104,7 @@ class Call:
         if self._images[0].device.type == "cuda":  # Dr.Jit computes on a stream of its own
             torch.cuda.current_stream(self._images[0].device).synchronize()
         with _LOCK, _no_collection():
-            which = lanes(kinds, batch, height * width // packet, sums)
+            which = lanes(kinds, batch, height * width // packet, sums, self._run)
             results: list[Any] = kernel(which, self.sources, self._light, *arguments)
             dr.eval(results)
             dr.sync_thread()

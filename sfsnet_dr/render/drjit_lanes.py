@@ -17,6 +17,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import torch
 
 from sfsnet_dr.render.drjit_memory import PACKET, Layout, Types
 from sfsnet_dr.scene.jit import dr
@@ -69,16 +70,17 @@ def row_length(sums: int) -> int:
 
 
 @functools.lru_cache(maxsize=256)
-def lanes(kinds: Types, batch: int, packets: int, sums: int) -> Lanes:
+def lanes(kinds: Types, batch: int, packets: int, sums: int, run: int = RUN) -> Lanes:
     """Share the packets of every image among lanes.
 
     Args:
         batch: number of images.
         packets: packets in a channel of an image.
         sums: numbers that a kernel sums over each image.
+        run: packets that a lane handles where images are large enough.
     """
     steps = -(-packets // GROUP)
-    groups = min(steps, max(steps // RUN, -(-FEWEST_GROUPS // batch)))
+    groups = min(steps, max(steps // run, -(-FEWEST_GROUPS // batch)))
     length = -(-steps // groups) * GROUP
     image, group, lane = np.meshgrid(*map(np.arange, (batch, groups, GROUP)), indexing="ij")
     start = group * length + lane
@@ -87,7 +89,9 @@ def lanes(kinds: Types, batch: int, packets: int, sums: int) -> Lanes:
     first = np.arange(batch)[:, None] * (groups * GROUP * row) + np.arange(GROUP * row)
 
     def array(values: npt.NDArray[Any]) -> Any:
-        return kinds.index(np.ascontiguousarray(values, dtype=np.uint32).ravel())
+        # In torch's memory, which is aligned: Dr.Jit compiles other kernels for memory that is not.
+        aligned = torch.tensor(values.ravel(), dtype=torch.int32)
+        return kinds.index(aligned.numpy().view(np.uint32))
 
     found = Lanes(
         array(image), array(start), array(end), number(kinds, packets), array(first), number(kinds, groups)

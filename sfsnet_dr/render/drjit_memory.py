@@ -75,9 +75,9 @@ def types(device: str, dtype: torch.dtype) -> Types:
     return Types(value, packet, module.UInt32)
 
 
-def packet_size(pixels: int) -> int:
-    """Packets that images of so many pixels divide into: ``PACKET`` or 1."""
-    return PACKET if pixels % PACKET == 0 else 1
+def packet_size(pixels: int, largest: int = PACKET) -> int:
+    """Numbers in the packets that images of so many pixels divide into: the largest allowed, or 1."""
+    return largest if pixels % largest == 0 else 1
 
 
 def view(tensor: Tensor, packet: int, *, dense: bool = False) -> View:

@@ -17,7 +17,7 @@ from sfsnet_dr.render.shading_inputs import COLOURS
 from sfsnet_dr.scene.jit import dr
 from sfsnet_dr.sh.monomials import CONSTANT, Evaluator, basis_functions
 
-#: |n|^2 above which a normal is shortened before it overflows, and the factor; for single and double precision.
+#: |n|^2 above which a normal is shortened before it overflows, and the factor; by precision.
 _LONG = ((1e36, 1e-20), (1e300, 1e-155))
 
 

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from sfsnet_dr.base.checks import BadInput, nearest
 from sfsnet_dr.loss.reconstruction import Backend, reconstruction_l1
-from sfsnet_dr.render import shading_drjit, shading_numpy, shading_torch
+from sfsnet_dr.render import shading_drjit, shading_drjit_plain, shading_numpy, shading_torch
 from sfsnet_dr.scene.jit import dr
 
 #: The arguments that get gradients.
@@ -73,6 +73,7 @@ FORMS: Final = (
     Form("numpy", "render", _numpy, differentiable=False),
     Form("torch", "render", lambda inputs: shading_torch.f_render(*inputs[:3])),
     Form("drjit", "render", lambda inputs: shading_drjit.f_render(*inputs[:3]), jit=True),
+    Form("drjit-plain", "render", lambda inputs: shading_drjit_plain.f_render(*inputs[:3]), jit=True),
     *(Form(f"loss {b}", "loss", _loss(b), jit=b != "torch") for b in reversed(get_args(Backend))),
 )
 

@@ -1,0 +1,1 @@
+"""Timings of the fast kernels against their twins, in one run."""

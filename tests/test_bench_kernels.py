@@ -1,0 +1,59 @@
+"""The benches: their arithmetic on known times, and small runs of both."""
+
+from __future__ import annotations
+
+import pytest
+
+from sfsnet_dr.loss.reconstruction_variants import VARIANTS, run
+from sfsnet_dr.study.bench import contest as contests
+from sfsnet_dr.study.bench import loss, render
+from sfsnet_dr.study.bench.contest import Times, contest
+
+
+def test_ratio_is_taken_round_by_round() -> None:
+    """The second round ran on a slower machine; both contenders did."""
+    ours, other = Times((1.0, 10.0, 1.0)), Times((3.0, 30.0, 6.0))
+    assert ours.ratio(other) == (3.0, (3.0, 6.0))
+    assert ours.median == 1.0
+
+
+def test_every_contender_has_every_turn() -> None:
+    calls: list[str] = []
+    found = contest({"a": lambda: calls.append("a"), "b": lambda: calls.append("b")}, rounds=4)
+    assert calls[:4] == ["a", "a", "b", "b"]
+    assert calls[4:] == (["a"] * contests.IN_A_ROW + ["b"] * contests.IN_A_ROW) * 4
+    assert all(len(times.rounds) == 4 for times in found.values())
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (loss, render):
+        monkeypatch.setattr(module, "COPY_BYTES", 2**20)
+    monkeypatch.setattr(loss, "SIZES", ((2, 8, 8), (1, 16, 16)))
+    monkeypatch.setattr(render, "SIZE", (2, 16, 16))
+    monkeypatch.setattr(render, "SIDES", (8, 16, 32))
+
+
+@pytest.mark.usefixtures("small")
+def test_bench_loss() -> None:
+    records, lines = loss.bench_loss("command", rounds=2, compiled=False, variants=False)
+    values = {r.what: r.value for r in records}
+    for name in ("loss.ratio.torch_eager", "loss.share.roofline"):
+        assert values[name] == min(values[f"{name}.2x8x8"], values[f"{name}.1x16x16"])
+    assert values["loss.ratio.torch_eager.2x8x8"] > 0
+    assert any("bound by" in line for line in lines)
+    assert any("torch.compile: not available" in line for line in lines)
+
+
+@pytest.mark.usefixtures("small")
+def test_bench_render() -> None:
+    records, lines = render.bench_render("command", rounds=2, compiled=False)
+    names = {r.what for r in records}
+    assert {"render.ratio.torch_eager", "render.share.copy_bandwidth", "render.time.drjit.1x32x32"} <= names
+    assert any("bound by" in line for line in lines)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", VARIANTS)
+def test_every_variant_runs(name: str) -> None:
+    run(VARIANTS[name], loss.example((2, 16, 16)))()
