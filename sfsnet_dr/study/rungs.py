@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sfsnet_dr.render.capture import Capture, CaptureOptions, capture
-from sfsnet_dr.render.shading_drjit import render_planes
+from sfsnet_dr.render.shading_drjit_plain import render_planes
 from sfsnet_dr.scene.jit import dr, mi, upload
 from sfsnet_dr.scene.lights import SceneLight
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
