@@ -191,3 +191,18 @@ def test_on_a_cuda_device() -> None:
     assert all(t.device.type == "cuda" for t in found)
     for a, b in zip(found, _results([t.double() for t in inputs], "torch"), strict=True):
         assert float((a.cpu() - b).abs().max()) <= 3e-6 * float(b.abs().max())
+
+
+def test_one_tensor_given_twice_before_and_after_two() -> None:
+    """Dr.Jit replays a recording by the addresses of its inputs, so this could mix tensors up."""
+    inputs = _inputs(batch=2, height=4, width=6, seed=3)
+    twice = [inputs[0], inputs[0], inputs[2], inputs[0].abs(), inputs[4]]
+    for case in (twice, inputs, twice, inputs):
+        _assert_right(case)
+
+
+def test_batches_of_one_in_turns() -> None:
+    """Structures that differ in their steps alone must not replay each other's recordings."""
+    full = _inputs(batch=3, height=5, width=7)
+    for which in ((0,), (1,), (2,), (0, 1), (1, 2), (0, 2), ()) * 2:
+        _assert_right([t[:1] if i in which else t for i, t in enumerate(full)])

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from sfsnet_dr.base import runtime
-from sfsnet_dr.render.drjit_lanes import GROUP, RUN, Lanes, Source, lanes, number, row_length
+from sfsnet_dr.render.drjit_lanes import GROUP, RUN, Lanes, Source, Structure, lanes, row_length
 from sfsnet_dr.render.drjit_memory import (
     PACKET,
     Layout,
@@ -27,7 +27,7 @@ from sfsnet_dr.render.drjit_memory import (
 from sfsnet_dr.render.drjit_pixel import folded
 from sfsnet_dr.scene.jit import dr
 
-#: Recordings of one frozen function, one for each shape of images, above which the oldest is dropped.
+#: Recordings of one frozen function, one for each structure of a call, above which the oldest is dropped.
 RECORDINGS: Final = 64
 
 #: Frozen functions are recorded and replayed by one thread at a time.
@@ -84,13 +84,18 @@ class Call:
         kinds, packet = types(first.device.type, first.dtype), packet_size(pixels, packet)
         views = [view(x, packet, dense=k >= len(images) - dense) for k, x in enumerate(images)]
         self.signature = Signature(kinds, packet, light.shape[1], tuple(v.layout for v in views))
-        self.sources = [
-            Source(
-                to_drjit(v.values, kinds.value), number(kinds, v.image_step), number(kinds, v.channel_step)
-            )
-            for v in views
-        ]
-        self._light = self._light_source(light)
+        one, light_step = _light(light)
+        flat = [*(v.values for v in views), one]
+        self._arrays = [to_drjit(x, kinds.value) for x in flat]
+        places = [x.data_ptr() for x in flat]
+        self._structure = Structure(
+            batch=first.shape[0],
+            packets=pixels // packet,
+            run=run,
+            sums=0,
+            steps=(*((v.image_step, v.channel_step) for v in views), (light_step, 1)),
+            same=tuple(places.index(place) for place in places),
+        )
 
     def launch(self, kernel: Callable[..., Any], sums: int, *arguments: Any) -> list[Any]:
         """Run ``kernel(lanes, sources, light, *arguments)`` to its end, from any thread.
@@ -99,13 +104,12 @@ class Call:
             kernel: ``frozen``, returns a list of arrays.
             sums: how many numbers it sums over each image.
         """
-        batch, _, height, width = self._shape
-        kinds, packet = self.signature.kinds, self.signature.packet
+        structure = self._structure._replace(sums=sums)
         if self._images[0].device.type == "cuda":  # Dr.Jit computes on a stream of its own
             torch.cuda.current_stream(self._images[0].device).synchronize()
         with _LOCK, _no_collection():
-            which = lanes(kinds, batch, height * width // packet, sums, self._run)
-            results: list[Any] = kernel(which, self.sources, self._light, *arguments)
+            which = lanes(self.signature.kinds, structure)
+            results: list[Any] = kernel(structure, which, self._arrays, *arguments)
             dr.eval(results)
             dr.sync_thread()
         return results
@@ -118,33 +122,32 @@ class Call:
         """What the kernel summed, (B, count)."""
         return to_torch(sums).view(self._shape[0], GROUP, row_length(count)).sum(1)[:, :count]
 
-    def _light_source(self, light: Tensor) -> Source:
-        """Light that is expanded over the batch is not copied for each image."""
-        kinds = self.signature.kinds
-        one = (light[:1] if light.stride(0) == 0 else light).contiguous()
-        step = number(kinds, 0 if one.shape[0] == 1 else one.shape[1])
-        return Source(to_drjit(one.view(-1), kinds.value), step, number(kinds, 1))
-
 
 def frozen(kernel: Callable[..., list[Any]]) -> Callable[..., list[Any]]:
-    """Record a kernel's launches once for each shape of images, and replay them afterwards.
+    """Record a kernel's launches once for each structure of a call, and replay them afterwards.
 
     Args:
         kernel: (lanes, sources, light, *arguments) -> arrays.
     """
 
-    def recorded(
-        lanes: tuple[Any, ...], sources: list[tuple[Any, ...]], light: tuple[Any, ...], *rest: Any
-    ) -> list[Any]:
-        return kernel(Lanes(*lanes), [Source(*source) for source in sources], Source(*light), *rest)
+    def recorded(_: Structure, lanes: tuple[Any, ...], arrays: list[Any], *rest: Any) -> list[Any]:
+        known = Lanes(*lanes)
+        *sources, light = [known.source(k, values) for k, values in enumerate(arrays)]
+        return kernel(known, sources, light, *rest)
 
     replayed = dr.freeze(recorded, limit=RECORDINGS, warn_after=10**6)
 
-    def call(lanes: Lanes, sources: Sequence[Source], light: Source, *rest: Any) -> list[Any]:
-        # Dr.Jit looks for arrays in plain tuples and lists, not in named ones.
-        return cast(list[Any], replayed(tuple(lanes), [tuple(s) for s in sources], tuple(light), *rest))
+    def call(structure: Structure, lanes: Lanes, arrays: list[Any], *rest: Any) -> list[Any]:
+        # Dr.Jit looks for arrays in plain tuples and lists, and compares named tuples as a whole.
+        return cast(list[Any], replayed(structure, tuple(lanes), arrays, *rest))
 
     return call
+
+
+def _light(light: Tensor) -> tuple[Tensor, int]:
+    """Flat light, and the step to the next image's. One that is expanded is not copied for each image."""
+    one = (light[:1] if light.stride(0) == 0 else light).contiguous()
+    return one.view(-1), 0 if one.shape[0] == 1 else one.shape[1]
 
 
 @contextmanager

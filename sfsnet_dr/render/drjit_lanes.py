@@ -16,7 +16,6 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import torch
 
 from sfsnet_dr.render.drjit_memory import PACKET, Layout, Types
@@ -32,6 +31,28 @@ RUN: Final = 32
 FEWEST_GROUPS: Final = 16
 
 
+class Structure(NamedTuple):
+    """What of a call is neither in the kernel nor in the tensors' memory; each has a recording of its own.
+
+    Attributes:
+        batch: number of images.
+        packets: packets in a channel of an image.
+        run: packets that a lane handles where images are large enough.
+        sums: numbers that the kernel sums over each image.
+        steps: of each tensor, packets from one image to the next and from one channel to the next.
+        same: of each tensor, the first one that lies at the same place. Dr.Jit tells the inputs of a
+            recording apart by their addresses, so that a recording made with one tensor given twice would
+            be wrong for two.
+    """
+
+    batch: int
+    packets: int
+    run: int
+    sums: int
+    steps: tuple[tuple[int, int], ...]
+    same: tuple[int, ...]
+
+
 class Lanes(NamedTuple):
     """Which packets each lane handles, as Dr.Jit arrays: ``start``, ``start + GROUP``, ... below ``end``.
 
@@ -39,21 +60,38 @@ class Lanes(NamedTuple):
         image: the image of each lane.
         start: the lane's first packet within its image.
         end: first packet within the image that belongs to the next group.
-        plane: packets in a channel of an image, one number.
         row: of each number that the summing kernel makes, where it begins.
-        groups: groups an image, one number.
+        numbers: packets in a channel of an image, groups an image, and the structure's steps.
     """
 
     image: Any
     start: Any
     end: Any
-    plane: Any
     row: Any
-    groups: Any
+    numbers: Any
+
+    @property
+    def plane(self) -> Any:
+        """Packets in a channel of an image."""
+        return self.number(0)
+
+    @property
+    def groups(self) -> Any:
+        """Groups of lanes an image."""
+        return self.number(1)
+
+    def number(self, k: int) -> Any:
+        """In a kernel: one of the numbers. They lie in memory, so that other ones need no other kernel."""
+        index = type(self.numbers)
+        return dr.gather(index, self.numbers, index(k))
+
+    def source(self, k: int, values: Any) -> Source:
+        """In a kernel: the k-th tensor of the structure, with its array."""
+        return Source(values, self.number(2 + 2 * k), self.number(3 + 2 * k))
 
 
 class Source(NamedTuple):
-    """A tensor that a kernel reads: its array, and one number each for the steps of its ``View``."""
+    """A tensor that a kernel reads: its array, and the steps of its ``View``."""
 
     values: Any
     image_step: Any
@@ -70,47 +108,32 @@ def row_length(sums: int) -> int:
 
 
 @functools.lru_cache(maxsize=256)
-def lanes(kinds: Types, batch: int, packets: int, sums: int, run: int = RUN) -> Lanes:
-    """Share the packets of every image among lanes.
-
-    Args:
-        batch: number of images.
-        packets: packets in a channel of an image.
-        sums: numbers that a kernel sums over each image.
-        run: packets that a lane handles where images are large enough.
-    """
+def lanes(kinds: Types, structure: Structure) -> Lanes:
+    """Share the packets of every image among lanes."""
+    batch, packets = structure.batch, structure.packets
     steps = -(-packets // GROUP)
-    groups = min(steps, max(steps // run, -(-FEWEST_GROUPS // batch)))
+    groups = min(steps, max(steps // structure.run, -(-FEWEST_GROUPS // batch)))
     length = -(-steps // groups) * GROUP
     image, group, lane = np.meshgrid(*map(np.arange, (batch, groups, GROUP)), indexing="ij")
     start = group * length + lane
     end = np.minimum((group + 1) * length, packets)
-    row = row_length(max(sums, 1))  # Dr.Jit has no variable for an empty array
+    row = row_length(max(structure.sums, 1))  # Dr.Jit has no variable for an empty array
     first = np.arange(batch)[:, None] * (groups * GROUP * row) + np.arange(GROUP * row)
-
-    def array(values: npt.NDArray[Any]) -> Any:
-        # In torch's memory, which is aligned: Dr.Jit compiles other kernels for memory that is not.
-        aligned = torch.tensor(values.ravel(), dtype=torch.int32)
-        return kinds.index(aligned.numpy().view(np.uint32))
-
-    found = Lanes(
-        array(image), array(start), array(end), number(kinds, packets), array(first), number(kinds, groups)
-    )
-    dr.eval(tuple(found))
-    dr.sync_thread()
-    return found
-
-
-@functools.lru_cache(maxsize=1024)
-def number(kinds: Types, value: int) -> Any:
-    """A whole number in memory: kernels are not compiled again for another one."""
-    return dr.opaque(kinds.index, value)
+    numbers = np.array([packets, groups, *(step for pair in structure.steps for step in pair)])
+    # In torch's memory, which is aligned: Dr.Jit compiles other kernels for memory that is not.
+    aligned = [
+        torch.tensor(a.ravel(), dtype=torch.int32).numpy().view(np.uint32)
+        for a in (image, start, end, first, numbers)
+    ]
+    return Lanes(*map(kinds.index, aligned))
 
 
 @functools.lru_cache(maxsize=1024)
 def real(kinds: Types, value: float) -> Any:
-    """A real number in memory, likewise."""
-    return dr.opaque(kinds.value, value)
+    """A real number in memory: kernels are not compiled again for another one."""
+    found = dr.opaque(kinds.value, value)
+    dr.sync_thread()
+    return found
 
 
 def sweep(
