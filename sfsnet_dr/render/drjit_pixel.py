@@ -78,7 +78,8 @@ class Shaded:
         shorten = dr.select(_squared(x, y, z) > longest, factor, 1)
         x, y, z = x * shorten, y * shorten, z * shorten
         squared = _squared(x, y, z)
-        inverse = dr.rsqrt(dr.maximum(squared, NORMAL_EPSILON))
+        # An infinite component makes all three NaN, as in the other forms; else the finite two would be 0.
+        inverse = dr.select(squared == dr.inf, dr.nan, dr.rsqrt(dr.maximum(squared, NORMAL_EPSILON)))
         self._clamped = squared < NORMAL_EPSILON
         self._unit = (x * inverse, y * inverse, z * inverse)
         self._inverse = inverse * shorten
