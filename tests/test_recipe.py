@@ -45,7 +45,7 @@ def test_there_are_recipes() -> None:
         ("steps = 5\n[optimiser]\nlearning_rate = -1", "learning_rate: -1.0 found"),
         ("steps = 5\n[model]\narchitecture = 'sfsnot'", "'sfsnot' found; did you mean 'sfsnet'"),
         ("steps = 5\n[model]\nblocks = 0", "blocks: 0 found"),
-        ("steps = 5\n[compute]\nloss_backend = 'numpy'", "'numpy' found; allowed: drjit, torch"),
+        ("steps = 5\n[compute]\nloss_backend = 'numpy'", "'numpy' found; allowed: drjit, drjit-plain, torch"),
         ("steps = 5\n[compute]\nprecision = 'float16'", "'float16' found; did you mean"),
         ("steps = ", "not valid TOML"),
     ],
