@@ -95,15 +95,21 @@ def _cell(case: Case, outcomes: list[Outcome], form: str) -> str:
     if isinstance(case.expect, NotFinite):
         return "shown"
     value, gradient = max(o.value_ulp for o in here), max(o.gradient_ulp for o in here)
-    return f"{value:.1f}" if form == "numpy" else f"{value:.1f} / {gradient:.1f}"
+    return f"{value:.1f}" if form == "numpy" else _pair(f"{value:.1f}", f"{gradient:.1f}")
+
+
+def _pair(value: str, gradient: str) -> str:
+    """Two numbers that stay on one line."""
+    return f"{value}\u00a0/\u00a0{gradient}"
 
 
 def _expected(case: Case) -> str:
     expect = case.expect
     if isinstance(expect, Bound):
-        bound = f"at most {expect.value:g} / {expect.gradient:g} ulp"
+        bound = f"at most {_pair(f'{expect.value:g}', f'{expect.gradient:g}')} ulp"
         if expect.floor or expect.gradient_floor:
-            bound += f" beyond {expect.floor:.1g} / {expect.gradient_floor:.1g}"
+            floors = _pair(f"{expect.floor:.1g}", f"{expect.gradient_floor:.1g}")
+            bound += f" more than an absolute error of {floors}"
     elif isinstance(expect, NotFinite):
         bound = "not hidden"
     else:
