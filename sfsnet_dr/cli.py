@@ -10,7 +10,8 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
-from contextlib import nullcontext
+from contextlib import nullcontext, redirect_stderr
+from io import StringIO
 
 import tyro
 
@@ -18,6 +19,9 @@ from sfsnet_dr.base.checks import BadInput, WorkFailed, nearest
 from sfsnet_dr.base.streams import standard_output_to_error
 from sfsnet_dr.commands.registry import COMMANDS
 from sfsnet_dr.commands.result import Command
+
+#: How the parts of tyro's messages begin that only say where to read more.
+_MORE = ("For full helptext", "Argument helptext")
 
 
 def overview() -> str:
@@ -34,15 +38,28 @@ def parse(argv: Sequence[str]) -> Command:
     """The command that the arguments name.
 
     Raises:
-        BadInput: for an unknown command.
-        SystemExit: with code 2 and tyro's explanation for wrong arguments of a command, with 0 for --help.
+        BadInput: for an unknown command, or arguments that it does not take.
+        SystemExit: with 0 for --help.
     """
     name, rest = _split(argv)
     if name not in COMMANDS:
         raise BadInput(f"command {name!r} found; {nearest(name, COMMANDS)}")
-    return tyro.cli(
-        COMMANDS[name][0], prog=f"sfsnet-dr {name}", args=rest, config=(tyro.conf.FlagCreatePairsOff,)
-    )
+    prog, told = f"sfsnet-dr {name}", StringIO()
+    try:
+        with redirect_stderr(told):
+            return tyro.cli(COMMANDS[name][0], prog=prog, args=rest, config=(tyro.conf.FlagCreatePairsOff,))
+    except SystemExit as end:
+        if not end.code:
+            raise
+        raise BadInput(f"{name}: {_unboxed(told.getvalue())}; see `{prog} --help`") from end
+
+
+def _unboxed(box: str) -> str:
+    """What tyro says in a box of several lines, in one; its parts on where to read more are left out."""
+    rows = [row.strip(" │") for row in box.splitlines() if row.strip().startswith("│")]
+    parts = [" ".join(part.split()) for part in "\n".join(rows).split("───")]
+    kept = [part.strip("─ ") for part in parts if not part.strip("─ ").startswith(_MORE)]
+    return "; ".join(part.rstrip(".") for part in kept if part) or " ".join(box.split())
 
 
 def _split(argv: Sequence[str]) -> tuple[str, list[str]]:
@@ -77,3 +94,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _fail(error: object, code: int) -> int:
     print("sfsnet-dr: " + str(error).replace("\n", " "), file=sys.stderr)
     return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

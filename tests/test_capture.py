@@ -9,10 +9,11 @@ from surfaces import plane_with_shade
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.render.capture import Capture, capture
 from sfsnet_dr.render.ztest import z_test
+from sfsnet_dr.scene.equirect import MAP_SIZE
 from sfsnet_dr.scene.face import sample_face
 from sfsnet_dr.scene.jit import dr, mi
 from sfsnet_dr.scene.mesh import plane, sphere
-from sfsnet_dr.scene.mitsuba_scene import ENVIRONMENT_SIZE, SurfaceScene
+from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
 from sfsnet_dr.scene.placement import project
 from sfsnet_dr.scene.spec import CameraSpec, HeadSpec, SceneSpec
 from sfsnet_dr.sh.basis import sh_basis
@@ -118,7 +119,7 @@ def test_relit_transport_is_mitsubas_direct_render_of_a_head() -> None:
     coefficients = np.zeros((9, 3))
     coefficients[:4] = [[3.0, 2.5, 2.0], [0.5, 0.6, 0.7], [0.6, 0.2, 0.4], [0.4, 0.7, 0.2]]
     coefficients[5] = 0.3
-    sky = sh_basis(equirect_directions(*ENVIRONMENT_SIZE), 2) @ coefficients
+    sky = sh_basis(equirect_directions(*MAP_SIZE), 2) @ coefficients
     assert sky.min() > 0
     scene.set_environment(sky)
     light = project_equirect(sky, 2)

@@ -342,11 +342,31 @@ def test_each_help_has_an_example_that_is_accepted(name: str, capfd: pytest.Capt
     assert isinstance(parse(shlex.split(example)[2:]), COMMANDS[name][0])
 
 
-def test_wrong_arguments_end_with_2(capfd: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as end:
-        main(["decompose", "--weight", "x"])
-    assert end.value.code == 2
-    assert capfd.readouterr().out == ""
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["decompose", "--weight", "x"], "Missing from sfsnet-dr decompose: --weights FILE"),
+        (["synth", "--outt", "x"], "Unrecognized options: --outt x"),
+        (["synth", "--out", "x", "--count", "abc"], "Error parsing --count: invalid literal"),
+        (
+            ["synth", "--out", "x", "--face-model", "flame"],
+            "invalid choice 'flame' for argument '--face-model'",
+        ),
+        (["synth", "--out", "x", "--seed"], "Missing value for argument '--seed'"),
+        (["bench", "synth", "--many"], "see `sfsnet-dr bench synth --help`"),
+    ],
+)
+def test_wrong_arguments_end_with_2_and_one_line(
+    arguments: list[str], words: str, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "50")  # a narrow terminal breaks no words apart
+    assert main(arguments) == 2
+    told = capfd.readouterr()
+    assert told.out == ""
+    assert told.err.startswith(f"sfsnet-dr: {arguments[0]}")
+    assert told.err.count("\n") == 1
+    assert words in told.err
+    assert not set("│╭─") & set(told.err)
 
 
 def test_a_reader_that_stops_early_sees_no_traceback() -> None:

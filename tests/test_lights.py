@@ -131,10 +131,9 @@ def test_the_path_tracer_sees_the_same_light() -> None:
     """A convex ball, by Mitsuba: map and lamps together, direct light only."""
     from sfsnet_dr.render.reference import path_trace
     from sfsnet_dr.scene.mesh import sphere
-    from sfsnet_dr.scene.mitsuba_scene import ENVIRONMENT_SIZE, SurfaceScene
+    from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
     from sfsnet_dr.scene.spec import CameraSpec
 
-    assert ENVIRONMENT_SIZE == MAP_SIZE
     light, radius = composed(), 0.9
     camera = CameraSpec(distance=1000.0, size=32)
     scene = SurfaceScene(sphere(radius), camera, light.directional, environment=True)

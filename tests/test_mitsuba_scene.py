@@ -10,9 +10,10 @@ from bowls import DIRECTIONS, bowl_and_ball
 from numpy.typing import NDArray
 
 from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.scene.equirect import MAP_SIZE
 from sfsnet_dr.scene.jit import dr, mi, upload
 from sfsnet_dr.scene.mesh import sphere
-from sfsnet_dr.scene.mitsuba_scene import ENVIRONMENT_SIZE, SurfaceScene
+from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
 from sfsnet_dr.scene.spec import CameraSpec
 
 Array = NDArray[np.float64]
@@ -30,7 +31,7 @@ def rendered(scene: SurfaceScene) -> Array:
 @pytest.mark.parametrize("gloss", [False, True])
 def test_an_exchanged_scene_is_the_one_built_anew(gloss: bool) -> None:
     """Mesh, camera and lights at once: the same seed gives the same picture, but for rounding."""
-    sky = np.linspace(0.2, 1.0, ENVIRONMENT_SIZE[1])[None, :, None] * np.ones((*ENVIRONMENT_SIZE, 3))
+    sky = np.linspace(0.2, 1.0, MAP_SIZE[1])[None, :, None] * np.ones((*MAP_SIZE, 3))
     first = SurfaceScene(
         bowl_and_ball(), CAMERA, [(DIRECTIONS[0], RED), (DIRECTIONS[1], RED)], environment=True, gloss=gloss
     )

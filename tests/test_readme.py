@@ -58,7 +58,7 @@ def test_links_lead_to_files() -> None:
 
 
 def test_a_wrong_command_would_be_seen(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
+    with pytest.raises(BadInput, match="--outt"):
         check(["sfsnet-dr", "train", "training/recipes/smoke.toml", "--outt", "x"])
     with pytest.raises(BadInput):
         check(["sfsnet-dr", "trian"])

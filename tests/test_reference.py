@@ -10,9 +10,10 @@ from sfsnet_dr.render.capture import capture
 from sfsnet_dr.render.reference import path_trace
 from sfsnet_dr.render.shading_numpy import f_render
 from sfsnet_dr.render.ztest import z_test
+from sfsnet_dr.scene.equirect import MAP_SIZE
 from sfsnet_dr.scene.jit import mi
 from sfsnet_dr.scene.mesh import plane, sphere
-from sfsnet_dr.scene.mitsuba_scene import ENVIRONMENT_SIZE, SurfaceScene
+from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
 from sfsnet_dr.scene.spec import CameraSpec
 from sfsnet_dr.sh.basis import sh_basis
 from sfsnet_dr.sh.projection import equirect_directions, project_equirect
@@ -59,7 +60,7 @@ def test_irradiance_on_a_sphere_under_an_sh_environment_is_the_oracles() -> None
     scene = SurfaceScene(sphere(), camera)
     coefficients = np.array([[3.0, 2.8, 2.6], [0.8, 0.2, 0.4], [0.2, 0.9, 0.1], [0.6, 0.3, 0.9], [0.2] * 3,
                              [0.1] * 3, [-0.2] * 3, [0.15] * 3, [-0.1] * 3])  # fmt: skip
-    sky = sh_basis(equirect_directions(*ENVIRONMENT_SIZE), 2) @ coefficients
+    sky = sh_basis(equirect_directions(*MAP_SIZE), 2) @ coefficients
     assert sky.min() > 0
     scene.set_environment(sky)
     image = path_trace(scene, 1024, 0, depth=2)
@@ -77,7 +78,7 @@ def test_irradiance_on_a_sphere_under_an_sh_environment_is_the_oracles() -> None
 
 def test_the_variance_is_that_of_the_mean() -> None:
     scene = SurfaceScene(sphere(), SMALL)
-    scene.set_environment(np.linspace(0.2, 2.0, ENVIRONMENT_SIZE[1])[None, :, None] ** 2)
+    scene.set_environment(np.linspace(0.2, 2.0, MAP_SIZE[1])[None, :, None] ** 2)
     runs = [path_trace(scene, 32, seed, depth=2) for seed in range(24)]
     inside = runs[0].mean.min(axis=-1) > 0
     seen = np.var([run.mean for run in runs], axis=0, ddof=1)[inside].mean()
@@ -88,7 +89,7 @@ def test_the_variance_is_that_of_the_mean() -> None:
 
 def test_noise_falls_as_one_over_the_samples() -> None:
     scene = SurfaceScene(sphere(), SMALL)
-    scene.set_environment(np.linspace(0.2, 2.0, ENVIRONMENT_SIZE[1])[None, :, None] ** 2)
+    scene.set_environment(np.linspace(0.2, 2.0, MAP_SIZE[1])[None, :, None] ** 2)
     few, many = (path_trace(scene, n, 3, depth=2).variance.mean() for n in (32, 512))
     assert few / many == pytest.approx(16, rel=0.1)
 

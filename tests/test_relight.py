@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -9,7 +11,8 @@ from spheres import sphere_bundle
 
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.data.flip import flip_map, flip_normal, flip_transport, x_parity
-from sfsnet_dr.data.relight import mixture, relight, relight_batch, relight_scene
+from sfsnet_dr.data.photo_effects import PhotoOptions
+from sfsnet_dr.data.relight import mixture, relight, relight_batch, relight_scene, relight_transport
 from sfsnet_dr.scene.lights import SceneLight, heading, rotation_about
 from sfsnet_dr.sh.basis import sh_basis
 from sfsnet_dr.sh.coefficients import Radiance
@@ -21,14 +24,16 @@ def test_a_relit_sphere_is_albedo_times_shading() -> None:
     shading = light.to_shading().evaluate(bundle.normal.astype(np.float64))
     expected = bundle.albedo * shading
     # float32 storage of the transport, nine terms of size about one
-    np.testing.assert_allclose(relight(bundle.transport, light), expected, atol=2e-6)
+    np.testing.assert_allclose(relight_transport(bundle.transport, light), expected, atol=2e-6)
 
 
 def test_white_light_from_everywhere_shows_the_albedo() -> None:
     bundle = sphere_bundle(3)
     values = np.zeros((9, 3))
     values[0] = np.sqrt(4 * np.pi)  # radiance 1: Y_00 = 1 / sqrt(4 pi)
-    np.testing.assert_allclose(relight(bundle.transport, Radiance(values)), bundle.albedo, atol=1e-6)
+    np.testing.assert_allclose(
+        relight_transport(bundle.transport, Radiance(values)), bundle.albedo, atol=1e-6
+    )
 
 
 def test_the_batch_form_agrees_face_by_face() -> None:
@@ -38,7 +43,7 @@ def test_the_batch_form_agrees_face_by_face() -> None:
     radiance = torch.from_numpy(np.stack([light.values for light in lights]))
     images = relight_batch(transport, radiance).numpy()
     for bundle, light, image in zip(bundles, lights, images, strict=True):
-        expected = relight(bundle.transport, light)
+        expected = relight_transport(bundle.transport, light)
         np.testing.assert_allclose(np.moveaxis(image, 0, -1), expected, atol=2e-6)  # float32 sums
     assert images.dtype == np.float32
 
@@ -47,9 +52,9 @@ def test_shading_coefficients_are_refused() -> None:
     bundle = sphere_bundle(0)
     light = Radiance(np.ones((9, 3)))
     with pytest.raises(TypeError, match="Radiance is needed"):
-        relight(bundle.transport, light.to_shading())  # type: ignore[arg-type]
+        relight_transport(bundle.transport, light.to_shading())  # type: ignore[arg-type]
     with pytest.raises(BadInput, match="K=4"):
-        relight(bundle.transport, light.truncate(1))
+        relight_transport(bundle.transport, light.truncate(1))
     with pytest.raises(BadInput, match="radiance"):
         relight_batch(torch.zeros(2, 9, 3, 4, 4), torch.zeros(2, 3, 9))
 
@@ -82,7 +87,7 @@ def test_reflected_normals_shade_as_the_reflected_transport() -> None:
     albedo = bundle.albedo[:, ::-1]
     expected = albedo * light.to_shading().evaluate(np.moveaxis(normal, 0, -1).astype(np.float64))
     transport = flip_transport(torch.from_numpy(np.moveaxis(bundle.transport, -1, 1).copy())).numpy()
-    np.testing.assert_allclose(relight(np.moveaxis(transport, 1, -1), light), expected, atol=2e-6)
+    np.testing.assert_allclose(relight_transport(np.moveaxis(transport, 1, -1), light), expected, atol=2e-6)
 
 
 def lit() -> SceneLight:
@@ -114,7 +119,9 @@ def test_a_scene_is_the_sum_of_its_responses() -> None:
     # The lamp of the bundle is Lambert's law of the exact direction 1 degree away; the rest is order 2.
     toward, power = directions[0], np.array([3.0, 2, 1])
     hard = bundle.albedo * np.maximum(bundle.normal @ toward, 0)[..., None] * power / np.pi
-    np.testing.assert_allclose(plain, hard + relight(bundle.transport, Radiance(mixed.radiance)), atol=2e-6)
+    np.testing.assert_allclose(
+        plain, hard + relight_transport(bundle.transport, Radiance(mixed.radiance)), atol=2e-6
+    )
     shiny = relight_scene(bundle.transport, gloss, lamps, mixed)
     np.testing.assert_allclose(shiny - plain, np.einsum("khw,kc->hwc", gloss, mixed.radiance), atol=1e-12)
 
@@ -125,6 +132,41 @@ def test_a_scene_is_the_sum_of_its_responses() -> None:
     inputs = batch(transport, mixed.radiance, gloss, lamp_images, mixed.irradiance)
     image = np.moveaxis(relight_batch(*inputs)[0].numpy(), 0, -1)
     np.testing.assert_allclose(image, shiny, atol=2e-5)  # float32 sums of up to 20
+
+
+def test_one_call_relights_with_all_that_a_bundle_knows() -> None:
+    bundle = sphere_bundle(1)
+    gloss = np.random.default_rng(0).uniform(0, 0.1, (9, *bundle.mask.shape)).astype(np.float32)
+    bundle = replace(bundle, gloss=gloss * bundle.coverage)
+    room, power = np.full((64, 128, 3), 0.2), np.array([3.0, 2, 1])
+    hard = SceneLight("hard", room, ((bundle.directions[1], power),))
+    image = relight(bundle, hard)
+    toward = np.maximum(bundle.normal @ bundle.directions[1], 0)[..., None] * power / np.pi
+    # The room is a light of order 0: the ball shows its albedo, and the first gloss response.
+    expected = bundle.albedo * (0.2 + toward) + 0.2 * np.sqrt(4 * np.pi) * bundle.gloss[0][..., None]
+    np.testing.assert_allclose(image, expected, atol=1e-4)  # the room's projection from a map
+    elsewhere = SceneLight("elsewhere", room, ((-bundle.directions[1], power),))
+    soft = elsewhere.softened(bundle.directions)
+    mixed = mixture(soft, bundle.directions, 2)
+    assert not mixed.irradiance.any()
+    np.testing.assert_allclose(
+        relight(bundle, elsewhere), relight_scene(bundle.transport, bundle.gloss, bundle.lamps, mixed)
+    )
+
+
+def test_one_call_takes_a_photograph() -> None:
+    bundle = sphere_bundle(1)
+    light = SceneLight("room", np.full((64, 128, 3), 0.5))
+    photo = PhotoOptions(exposure=0.0, white_balance=0.0, blur=0.0, noise=0.0, jpeg=0.0, grey=0.0)
+    plain, taken = relight(bundle, light), relight(bundle, light, photo)
+    covered = bundle.coverage == 1
+    np.testing.assert_allclose(taken[covered], plain[covered], atol=1e-6)  # float32
+    assert (taken[bundle.coverage == 0] > 0).any()
+    first, again, other = (relight(bundle, light, PhotoOptions(), seed) for seed in (3, 3, 4))
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other)
+    assert first.shape == plain.shape
+    assert 0 <= first.min() < first.max() <= 1
 
 
 def test_responses_that_do_not_fit_are_refused() -> None:

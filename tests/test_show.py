@@ -135,6 +135,10 @@ def half_a_bundle(faces: Path, folder: Path) -> list[str]:
         (lambda faces, folder: relit(faces, folder, "--direction=0,0,-1"), "no light falls"),
         (lambda faces, folder: relit(faces, folder, "--direction=0,0,1", "--exposure=-1"), "--exposure: -1"),
         (
+            lambda faces, folder: relit(faces, folder, "--direction=0,0,1", "--photo-seed=-1"),
+            "--photo-seed: -1",
+        ),
+        (
             lambda faces, folder: relit(faces, folder, "--direction=0,0,1", name="relit.jpg"),
             "written as .png",
         ),

@@ -26,7 +26,7 @@ from sfsnet_dr.commands.faces import Synth
 from sfsnet_dr.data import synth
 from sfsnet_dr.data.bundle import Bundle, read_bundle
 from sfsnet_dr.data.manifest import Manifest
-from sfsnet_dr.data.relight import relight
+from sfsnet_dr.data.relight import relight_transport
 from sfsnet_dr.data.synth import synthesize
 from sfsnet_dr.scene.jit import dr
 from sfsnet_dr.scene.spec import CameraSpec, HeadSpec, SamplingSpec, SceneSpec, load_scene
@@ -95,11 +95,11 @@ def test_a_bundle_holds_one_face_and_its_light(whole: Path) -> None:
     assert 0.1 < bundle.mask.mean() < 0.8
     lengths = np.linalg.norm(bundle.normal, axis=-1)[bundle.coverage > 0]
     np.testing.assert_allclose(lengths, 1.0, atol=2e-3)  # half floats
-    image = relight(bundle.transport, bundle.meta.light)
+    image = relight_transport(bundle.transport, bundle.meta.light)
     face = bundle.mask > 0
     error = np.sqrt(np.mean((image - bundle.reference)[face] ** 2) / np.mean(bundle.reference[face] ** 2))
     assert error < 0.25  # 16 paths of noise, bounces and order 2; another light's picture is off by more
-    other = relight(bundle.transport, read_bundle(whole / "face-000005.exr").meta.light)
+    other = relight_transport(bundle.transport, read_bundle(whole / "face-000005.exr").meta.light)
     wrong = np.sqrt(np.mean((other - bundle.reference)[face] ** 2) / np.mean(bundle.reference[face] ** 2))
     assert wrong > error
 

@@ -174,6 +174,15 @@ def test_too_many_such_steps_end_the_run(data: Path, tmp_path: Path, monkeypatch
         train(replace(RECIPE, most_skipped=2), data, tmp_path, progress=False)
 
 
+def test_a_failure_leaves_no_bar_in_a_log(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    before_step(monkeypatch, 1, fail(RuntimeError("power cut")))
+    with pytest.raises(RuntimeError):
+        train(RECIPE, data, tmp_path, progress=True)
+    assert capfd.readouterr().err == ""
+
+
 def test_a_torn_history_line_is_dropped(tmp_path: Path) -> None:
     path = tmp_path / HISTORY
     path.write_text(json.dumps({"step": 0}) + "\n" + json.dumps({"step": 1}) + "\n" + '{"ste')

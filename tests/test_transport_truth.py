@@ -18,7 +18,8 @@ from sfsnet_dr.render.capture import Capture, CaptureOptions, capture
 from sfsnet_dr.render.compare import bias_squared
 from sfsnet_dr.render.reference import path_trace
 from sfsnet_dr.render.ztest import z_test
-from sfsnet_dr.scene.mitsuba_scene import ENVIRONMENT_SIZE, SurfaceScene
+from sfsnet_dr.scene.equirect import MAP_SIZE
+from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
 from sfsnet_dr.scene.spec import CameraSpec
 from sfsnet_dr.sh.basis import sh_basis
 from sfsnet_dr.sh.projection import equirect_directions, project_equirect
@@ -54,7 +55,7 @@ def smooth_sky() -> tuple[Array, Array]:
     coefficients = np.zeros((9, 3))
     coefficients[:4] = [[3.0, 2.5, 2.0], [0.5, 0.6, 0.7], [0.6, 0.2, 0.4], [0.4, 0.7, 0.2]]
     coefficients[5] = 0.3
-    sky = sh_basis(equirect_directions(*ENVIRONMENT_SIZE), 2) @ coefficients
+    sky = sh_basis(equirect_directions(*MAP_SIZE), 2) @ coefficients
     assert sky.min() > 0
     return sky, project_equirect(sky, 4).values
 

@@ -105,12 +105,18 @@ class Relight:
         arg(metavar="X,Y,Z", help="Toward one white lamp: x to the image's right, y up, z to the viewer."),
     ] = None
     exposure: Annotated[float, arg(help="Mean shading of a white face, 1 being the picture's white.")] = 0.8
+    photo_seed: Annotated[
+        int | None,
+        arg(
+            metavar="N", help="Photograph it: background, noise, blur, JPEG and so on, drawn from this seed."
+        ),
+    ] = None
     as_json: Json = False
 
     def run(self) -> Result:
         from sfsnet_dr.study.contact_sheet import relight_file
 
-        relight_file(self.bundle, self.out, self.env, self.direction, self.exposure)
+        relight_file(self.bundle, self.out, self.env, self.direction, self.exposure, self.photo_seed)
         return of_records([], f"written: {self.out}")
 
 

@@ -17,8 +17,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from sfsnet_dr.base.checks import BadInput, check_shape
+from sfsnet_dr.data.bundle import Bundle
+from sfsnet_dr.data.photo_effects import PhotoOptions, photograph, sample_effects
+from sfsnet_dr.data.surroundings import sample_surroundings
 from sfsnet_dr.scene.lights import NEAR, SceneLight
+from sfsnet_dr.scene.spec import CameraSpec
 from sfsnet_dr.sh.coefficients import Radiance
+from sfsnet_dr.sh.kernel import order_of
 from sfsnet_dr.sh.projection import project_directional
 
 Array = NDArray[np.float64]
@@ -61,8 +66,44 @@ def mixture(light: SceneLight, directions: Array, order: int) -> Mixture:
     return Mixture(radiance.values, irradiance)
 
 
-def relight(transport: NDArray[np.floating], light: Radiance) -> Array:
-    """Relight one face.
+def relight(bundle: Bundle, light: SceneLight, photo: PhotoOptions | None = None, seed: int = 0) -> Array:
+    """One rendered face under any light, and photographed if wanted.
+
+    All that the bundle knows takes part: interreflection, gloss, and hard shadows of lights within ``NEAR``
+    degrees of its directions (``bundle.directions``). Other suns and lamps are softened as by thin cloud
+    (``SceneLight.softened``): coefficients cannot hold them.
+
+    Args:
+        bundle: the face.
+        light: the light; ``scene.light_sources.sample_scene_light`` draws one, given the bundle's directions
+            one that stays hard.
+        photo: what may happen between the face and the picture: exposure, white balance, sensor noise, blur,
+            JPEG, grey, and a background under the same light. None for the bare face on black.
+        seed: of all that is drawn for the photograph.
+
+    Returns:
+        Linear image (H, W, 3): a photograph within [0, 1], else neither clipped above nor below.
+
+    Raises:
+        BadInput: for a bundle that is not square when a photograph is wanted.
+    """
+    soft = light.softened(bundle.directions)
+    weights = mixture(soft, bundle.directions, order_of(len(bundle.transport)))
+    image = relight_scene(bundle.transport, bundle.gloss, bundle.lamps, weights)
+    if photo is None:
+        return image
+    size = check_shape("bundle", bundle.mask, "N N")["N"]
+    rng = np.random.default_rng(seed)
+    distance = float(bundle.meta.extra.get("pose", {}).get("distance", CameraSpec().distance))
+    place = sample_surroundings(rng, soft, distance, size)
+    planes = (torch.from_numpy(np.moveaxis(part, -1, 0).copy())[None] for part in (image, place))
+    coverage = torch.from_numpy(bundle.coverage.copy())[None, None]
+    taken = photograph(next(planes), coverage, next(planes), [sample_effects(rng, photo)])
+    return np.asarray(np.moveaxis(taken[0].numpy(), 0, -1), np.float64)
+
+
+def relight_transport(transport: NDArray[np.floating], light: Radiance) -> Array:
+    """One face under smooth light, from its transport alone.
 
     Args:
         transport: (K, H, W, 3), as in a bundle.
@@ -106,7 +147,7 @@ def relight_scene(
     sizes = {name: sizes[name] for name in ("H", "W")}
     _check_gloss(check_shape("gloss", gloss, "G H W", **sizes)["G"], len(light.radiance))
     check_shape("lamps", lamps, "D H W 3", D=len(light.irradiance), **sizes)
-    image = relight(transport, Radiance(light.radiance))
+    image = relight_transport(transport, Radiance(light.radiance))
     image += np.einsum("khw,kc->hwc", np.asarray(gloss, np.float64), light.radiance[: len(gloss)])
     image += np.einsum("dhwc,dc->hwc", np.asarray(lamps, np.float64), light.irradiance)
     return image

@@ -145,8 +145,8 @@ def render_bundle(spec: SceneSpec, seed: int) -> Bundle:
     """Maps, transport and a path-traced reference of one seeded face."""
     from sfsnet_dr.render.capture import CaptureOptions, capture
     from sfsnet_dr.render.reference import path_trace
+    from sfsnet_dr.scene.equirect import MAP_SIZE
     from sfsnet_dr.scene.face import sample_face
-    from sfsnet_dr.scene.mitsuba_scene import ENVIRONMENT_SIZE
 
     dataset, face, sampling = identity(spec), sample_face(seed, spec), spec.sampling
     scene = _place_in_scene(spec, face)
@@ -154,7 +154,7 @@ def render_bundle(spec: SceneSpec, seed: int) -> Bundle:
     options = CaptureOptions(MAP_ORDER, sampling.bounces, sampling.paths)
     maps = capture(scene, sampling.transport, seed, options, directions)
     light = sample_lights(np.random.default_rng((seed, _LIGHT_STREAM)), 1)[0]
-    scene.set_environment(light.equirect(*ENVIRONMENT_SIZE))
+    scene.set_environment(light.equirect(*MAP_SIZE))
     reference = path_trace(scene, sampling.reference, seed, sampling.depth)
     extra: dict[str, Any] = {
         "spec": as_dict(dataset),

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import signal
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -17,7 +19,7 @@ from sfsnet_dr.base.atomic import output_dir
 from sfsnet_dr.base.checks import BadInput, WorkFailed
 from sfsnet_dr.base.config import as_dict
 from sfsnet_dr.data.dataset import RelitFaces, load_faces
-from sfsnet_dr.data.light_bank import kept_bank
+from sfsnet_dr.data.light_bank import LightBank, kept_bank
 from sfsnet_dr.data.mixture import MixedFaces, RealFaces
 from sfsnet_dr.data.pseudo_labels import load_pseudo_labels
 from sfsnet_dr.fit.checkpoint import Progress, load_checkpoint, save_checkpoint
@@ -94,12 +96,7 @@ def train(
     folder = output_dir(out)
     if not resume and (folder / CHECKPOINT).exists():
         raise BadInput(f"{folder}: holds a run already; go on with --resume or choose another folder")
-    with _bar(progress) as bar:
-        lights = bar.add_task("drawing lights", total=recipe.data.lights, loss="", speed="")
-        bank = kept_bank(
-            folder / LIGHTS, recipe.data.light, recipe.data.lights, recipe.seed, lambda: bar.advance(lights)
-        )
-        bar.remove_task(lights)
+    bank = _bank(recipe, folder, progress)
     rendered = recipe.batch_size - recipe.real.count(recipe.batch_size)
     batches = RelitFaces(faces, rendered, recipe.data, recipe.seed, bank)
     run = _Run(recipe, batches if real is None else MixedFaces(batches, real), folder, resume)
@@ -194,6 +191,13 @@ def _real_faces(recipe: Recipe, labels: Path | str | None) -> RealFaces | None:
     return None if labels is None else RealFaces(load_pseudo_labels(labels), count, recipe.real, recipe.seed)
 
 
+def _bank(recipe: Recipe, folder: Path, progress: bool) -> LightBank:
+    wanted = recipe.data
+    with _bar(progress, transient=True) as bar:
+        task = bar.add_task("drawing lights", total=wanted.lights, loss="", speed="")
+        return kept_bank(folder / LIGHTS, wanted.light, wanted.lights, recipe.seed, lambda: bar.advance(task))
+
+
 def _make_model(recipe: Recipe) -> SfSNet:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(recipe.seed)
@@ -218,14 +222,24 @@ def _raise_stopped(number: signal.Signals, folder: Path, step: int) -> None:
     raise WorkFailed(f"training: {number.name} after {step} steps; {folder} is saved, go on with --resume")
 
 
-def _bar(shown: bool) -> Bar:
-    return Bar(
+@contextmanager
+def _bar(shown: bool, transient: bool = False) -> Iterator[Bar]:
+    console = Console(stderr=True)  # standard output belongs to the command's result
+    bar = Bar(
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
         TextColumn("{task.fields[loss]}"),
         TextColumn("{task.fields[speed]}"),
         TimeRemainingColumn(),
-        console=Console(stderr=True),  # standard output belongs to the command's result
-        disable=not shown,
+        console=console,
+        disable=not shown or (transient and not console.is_interactive),
+        transient=transient,
     )
+    with bar:
+        try:
+            yield bar
+        except BaseException:
+            bar.live.transient = True  # the line that tells the failure stands alone, also in a log
+            bar.console.quiet = not bar.console.is_interactive
+            raise

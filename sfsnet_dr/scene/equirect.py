@@ -13,7 +13,7 @@ from sfsnet_dr.sh.projection import equirect_directions
 
 Array = npt.NDArray[np.float64]
 
-#: Rows and columns of a scene's map; texels of 2.8 degrees.
+#: Rows and columns of a scene's map; texels of 2.8 degrees, which resolve the sharpest lobe of ``sh.priors``.
 MAP_SIZE = (64, 128)
 
 _STEPS = 16  # midpoints a source pixel in the integrals of ``resample``

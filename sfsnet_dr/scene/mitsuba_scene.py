@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sfsnet_dr.base.checks import BadInput, check_shape
+from sfsnet_dr.scene.equirect import MAP_SIZE
 from sfsnet_dr.scene.interface import DULL_ALPHA, SHINY_ALPHA, body_share, lobe
 from sfsnet_dr.scene.jit import dr, mi, upload
 from sfsnet_dr.scene.mesh import Mesh
@@ -20,9 +21,6 @@ from sfsnet_dr.scene.spec import CameraSpec
 from sfsnet_dr.scene.vertex_texture import PLUGIN
 
 Array = npt.NDArray[np.float64]
-
-#: Size of the environment map: rows, columns. 64 x 128 texels resolve the sharpest lobe of the light prior.
-ENVIRONMENT_SIZE = (64, 128)
 
 _ALBEDO = "vertex_color"
 _BODY = "vertex_body"  # reflectance under the interface; equal to the albedo without one
@@ -63,7 +61,7 @@ class SurfaceScene:
         self._surface = _mesh(mesh, gloss)
         scene: dict[str, Any] = {"type": "scene", "camera": _sensor(camera), "surface": self._surface}
         if self._has_environment:
-            black = np.zeros((*ENVIRONMENT_SIZE, 3), dtype=np.float32)
+            black = np.zeros((*MAP_SIZE, 3), dtype=np.float32)
             scene["environment"] = {"type": "envmap", "bitmap": mi.Bitmap(black)}
         for k, (direction, irradiance) in enumerate(directional):
             scene[f"directional{k}"] = _directional(direction, irradiance)
@@ -163,8 +161,8 @@ class SurfaceScene:
         """
         if not self._has_environment:
             raise BadInput("environment: this scene has directional lights only; make another SurfaceScene")
-        full = np.broadcast_to(np.asarray(image, dtype=np.float32), (*ENVIRONMENT_SIZE, 3))
-        check_shape("environment", full, f"{ENVIRONMENT_SIZE[0]} {ENVIRONMENT_SIZE[1]} 3")
+        full = np.broadcast_to(np.asarray(image, dtype=np.float32), (*MAP_SIZE, 3))
+        check_shape("environment", full, f"{MAP_SIZE[0]} {MAP_SIZE[1]} 3")
         if not np.isfinite(full).all() or full.min() < 0:
             raise BadInput(
                 "environment: NaN, inf or negative radiance found, finite values from 0 on allowed"

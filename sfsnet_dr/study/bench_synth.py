@@ -20,10 +20,11 @@ from sfsnet_dr.render.plain import PlainRender, plain_render
 from sfsnet_dr.render.points import SAMPLERS, Sampler
 from sfsnet_dr.render.ray_rate import bare_ray_tests, kernel_times
 from sfsnet_dr.report.record import Record, measured
+from sfsnet_dr.scene.equirect import MAP_SIZE
 from sfsnet_dr.scene.face import Face, sample_face
 from sfsnet_dr.scene.light_sources import sample_direction
 from sfsnet_dr.scene.lights import MAP_ORDER
-from sfsnet_dr.scene.mitsuba_scene import ENVIRONMENT_SIZE, SurfaceScene
+from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
 from sfsnet_dr.scene.spec import FACE_SHAPES, SceneSpec
 from sfsnet_dr.sh.basis import sh_basis
 from sfsnet_dr.sh.projection import equirect_directions
@@ -168,7 +169,7 @@ def _against_plain(bench: Bench) -> dict[str, tuple[float, str]]:
     scene, load = _timed(lambda: _loaded(bench))
     _, exchange = _timed(lambda: bench.scene.set_mesh(bench.face.mesh))
     depth, paths = sampling.bounces + 2, sampling.transport * sampling.paths
-    basis = sh_basis(equirect_directions(*ENVIRONMENT_SIZE), MAP_ORDER)
+    basis = sh_basis(equirect_directions(*MAP_SIZE), MAP_ORDER)
     equal_noise, equal_paths, needed_transport = load, load, []
     groups = [(scene, basis, depth, ours.transport)]
     if scene.gloss:

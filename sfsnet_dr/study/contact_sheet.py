@@ -17,13 +17,13 @@ from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.base.imageio import write_png
 from sfsnet_dr.data.bundle import Bundle, read_bundle
 from sfsnet_dr.data.manifest import NAME, Manifest
-from sfsnet_dr.data.relight import relight
+from sfsnet_dr.data.photo_effects import PhotoOptions
+from sfsnet_dr.data.relight import Mixture, relight, relight_scene
 from sfsnet_dr.report.figures import histogram
 from sfsnet_dr.report.html import Block, Figure, Gallery, KeyNumbers, Section, write_page
 from sfsnet_dr.report.record import Record, measured
 from sfsnet_dr.scene.environment_maps import load_environment
 from sfsnet_dr.scene.lights import SceneLight
-from sfsnet_dr.sh.kernel import order_of
 
 Array = npt.NDArray[np.float64]
 
@@ -110,8 +110,9 @@ def relight_file(
     env: Path | str | None = None,
     direction: str | None = None,
     exposure: float = 0.8,
+    photo_seed: int | None = None,
 ) -> None:
-    """Write one face under another light as a PNG, on black.
+    """Write one face under another light as a PNG: bare, on black, or photographed.
 
     Args:
         bundle: file of a rendered face.
@@ -119,6 +120,7 @@ def relight_file(
         env: environment map; its middle is where the viewer is.
         direction: three numbers ``"x,y,z"`` toward one white lamp, of any length. Either this or ``env``.
         exposure: mean shading of a white face.
+        photo_seed: draws background, noise, blur, JPEG and so on; None takes no photograph.
 
     Raises:
         BadInput: for anything that cannot be read or does not light the face.
@@ -131,7 +133,10 @@ def relight_file(
     if not (np.isfinite(exposure) and exposure > 0):
         raise BadInput(f"--exposure: {exposure} found, a number above 0 is needed")
     light = lamp(direction) if direction is not None else load_environment(Path(str(env)))
-    image = relit(read_bundle(bundle), light.exposed(exposure))
+    if photo_seed is not None and photo_seed < 0:
+        raise BadInput(f"--photo-seed: {photo_seed} found, a number from 0 on is needed")
+    photo = None if photo_seed is None else PhotoOptions()
+    image = relight(read_bundle(bundle), light.exposed(exposure), photo, photo_seed or 0)
     write_png(out, np.clip(image, 0.0, None))
 
 
@@ -151,19 +156,19 @@ def lamp(text: str) -> SceneLight:
     return SceneLight("lamp", None, ((toward / length, np.ones(3)),))
 
 
-def relit(bundle: Bundle, light: SceneLight) -> Array:
-    """Linear image (H, W, 3) of a face under a light, by what the bundle knows of it; not clamped."""
-    return relight(bundle.transport, light.coefficients(order_of(len(bundle.transport))))
-
-
 def tone_name(ita: float) -> str:
     """Name of a skin tone by its ITA in degrees."""
     return [name for name, low in TONES.items() if ita > low][-1]
 
 
 def _shown(bundle: Bundle) -> _Shown:
-    order = order_of(len(bundle.meta.light.values))
-    same_light = relight(bundle.transport[: (order + 1) ** 2], bundle.meta.light)
+    light = bundle.meta.light.values
+    same_light = relight_scene(
+        bundle.transport[: len(light)],
+        bundle.gloss,
+        bundle.lamps,
+        Mixture(light, np.zeros((len(bundle.lamps), 3))),
+    )
     pictures = (show_linear(bundle.reference), show_linear(same_light), show_normals(bundle.normal))
     faces = [on_white(picture, bundle.coverage) for picture in (*pictures, show_linear(bundle.albedo))]
     return _Shown(bundle.meta.seed, *faces)

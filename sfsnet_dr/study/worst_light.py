@@ -17,8 +17,9 @@ import numpy.typing as npt
 from sfsnet_dr.metrics.bootstrap import Interval, interval
 from sfsnet_dr.render.compare import RelativeRmse, relative_rmse
 from sfsnet_dr.render.reference import path_trace
+from sfsnet_dr.scene.equirect import MAP_SIZE
 from sfsnet_dr.scene.light_sources import LARGEST_ANGLE
-from sfsnet_dr.scene.mitsuba_scene import ENVIRONMENT_SIZE, SurfaceScene
+from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
 from sfsnet_dr.scene.subject import Subject
 from sfsnet_dr.sh.basis import sh_basis
 from sfsnet_dr.sh.icosphere import icosphere
@@ -228,7 +229,7 @@ def _shown_mixture(of: Target, basis: Answers, light: Worst, order: int, seed: i
     colour = light.colour
     weights = np.zeros((len(light.light), 3))
     weights[:, colour] = light.light
-    sky = sh_basis(equirect_directions(*ENVIRONMENT_SIZE), ORDER) @ light.light
+    sky = sh_basis(equirect_directions(*MAP_SIZE), ORDER) @ light.light
     counted = min(1.0, light.brightness / DIMMEST)
     mask = basis.mask.astype(np.float64)
     first, second, model = (image[..., colour : colour + 1] for image in basis.images(weights, order))
