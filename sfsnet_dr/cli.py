@@ -94,7 +94,3 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _fail(error: object, code: int) -> int:
     print("sfsnet-dr: " + str(error).replace("\n", " "), file=sys.stderr)
     return code
-
-
-if __name__ == "__main__":
-    sys.exit(main())

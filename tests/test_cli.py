@@ -369,6 +369,14 @@ def test_wrong_arguments_end_with_2_and_one_line(
     assert not set("│╭─") & set(told.err)
 
 
+def test_the_package_is_the_command() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "sfsnet_dr", "no-such"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert "no-such" in done.stderr
+
+
 def test_a_reader_that_stops_early_sees_no_traceback() -> None:
     code = 'from sfsnet_dr.cli import main; main(["doctor", "--json"])'
     line = f"{shlex.quote(sys.executable)} -c {shlex.quote(code)} | head -c 1"

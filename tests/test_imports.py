@@ -18,7 +18,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 #: Each part may import itself and what stands before it.
 ORDER = [
     "base", "sh", "scene", "render", "data", "model", "loss", "metrics", "fit", "apply", "report", "study",
-    "commands", "cli",
+    "commands", "cli", "__main__",
 ]  # fmt: skip
 
 #: Folders in which a heavy library may be imported, and single files with their reason.
