@@ -13,9 +13,11 @@ from sfsnet_dr.apply import outputs
 from sfsnet_dr.apply.decompose import decompose, reconstruction_error
 from sfsnet_dr.apply.picture import eyes_from_text, read_picture
 from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.base.color import linear_to_srgb
 from sfsnet_dr.base.imageio import read_exr, read_image, write_png
 from sfsnet_dr.data.photograph import face_ellipse_mask
 from sfsnet_dr.model.sfsnet import SfSNet
+from sfsnet_dr.model.skipnet import SkipNet
 from sfsnet_dr.model.weights import save_weights
 from sfsnet_dr.render.shading_numpy import f_render
 
@@ -160,3 +162,47 @@ def test_two_pictures_of_one_name_are_refused(tmp_path: Path, picture: Path, wei
     with pytest.raises(BadInput, match="2 are called 'face'"):
         decompose([picture, twin], tmp_path / "out", weights)
     assert not (tmp_path / "out").exists()
+
+
+def recipe_metadata(size: int, values: str) -> dict[str, object]:
+    """What `sfsnet-dr train` stores with weights, as far as images are concerned."""
+    return {"recipe": {"data": {"size": size}, "real": {"values": values}}}
+
+
+def test_a_network_answers_at_the_size_it_was_trained_at(tmp_path: Path, picture: Path) -> None:
+    torch.manual_seed(0)
+    model = SkipNet(4, 64)
+    *_, bias = model.normal_decoder.parameters()
+    torch.nn.init.constant_(bias, 0.5)
+    save_weights(tmp_path / "w.safetensors", model, recipe_metadata(64, "linear"))
+    [face] = decompose([picture], tmp_path / "out", tmp_path / "w.safetensors")
+    assert face.normal.shape == face.image.shape == (64, 64, 3)
+    blocks = read_image(picture).pixels.reshape(64, 2, 64, 2, 3).mean((1, 3))
+    np.testing.assert_allclose(face.image, blocks, atol=1e-6)
+    assert read_image(tmp_path / "out/face/normal.png").pixels.shape == (64, 64, 3)
+
+
+def test_display_referred_weights_see_and_explain_the_encoded_picture(tmp_path: Path, picture: Path) -> None:
+    """The paper's form: albedo times shading is what the file holds, and errors are of that."""
+    weights = tmp_path / "w.safetensors"
+    torch.manual_seed(0)
+    model = SfSNet(4, 4, 1).eval()
+    *_, bias = model.normal_head.parameters()
+    torch.nn.init.constant_(bias, 0.5)
+    save_weights(weights, model, recipe_metadata(128, "display"))
+    [face] = decompose([picture], tmp_path / "out", weights)
+    encoded = linear_to_srgb(read_image(picture).pixels)
+    with torch.no_grad():
+        result = model(torch.from_numpy(np.moveaxis(encoded, -1, 0)[None].astype(np.float32)))
+    # Sums of float32 in another order, divided by short normals.
+    np.testing.assert_allclose(face.albedo, np.moveaxis(result.albedo[0].numpy(), 0, -1), atol=1e-5)
+    shown = face.albedo * face.shading
+    np.testing.assert_allclose(linear_to_srgb(face.reconstruction), shown, atol=1e-9)
+    inside = face.mask[..., None] * np.ones(3)
+    expected = np.average(255 * np.abs(np.clip(shown, 0, 1) - encoded), weights=inside)
+    assert reconstruction_error(face) == pytest.approx(expected, rel=1e-6)
+    _, strings = read_exr(tmp_path / "out/face/decomposition.exr")
+    assert strings["sfsnet_dr:values"] == "display"
+    albedo = linear_to_srgb(read_image(tmp_path / "out/face/albedo.png").pixels)
+    centre = (64, 64)
+    np.testing.assert_allclose(albedo[centre], np.clip(face.albedo[centre], 0, 1), atol=0.5 / 255)

@@ -22,6 +22,12 @@ def test_a_recipe_without_sections_is_the_papers(tmp_path: Path) -> None:
     assert (weights.recon, weights.normal, weights.albedo, weights.light) == (0.5, 0.5, 0.5, 0.1)
 
 
+def test_a_skipnet_is_made_for_the_size_of_its_images(tmp_path: Path) -> None:
+    path = tmp_path / "r.toml"
+    path.write_text("steps = 5\n[model]\narchitecture = 'skipnet'\nwidth = 4\n[data]\nsize = 64\n")
+    assert read_recipe(path).make_model().config == {"width": 4, "size": 64}
+
+
 @pytest.mark.parametrize("path", RECIPES, ids=lambda path: path.name)
 def test_recipes_of_the_repository_are_read(path: Path) -> None:
     assert read_recipe(path).steps > 0
@@ -45,6 +51,14 @@ def test_there_are_recipes() -> None:
         ("steps = 5\n[optimiser]\nlearning_rate = -1", "learning_rate: -1.0 found"),
         ("steps = 5\n[model]\narchitecture = 'sfsnot'", "'sfsnot' found; did you mean 'sfsnet'"),
         ("steps = 5\n[model]\nblocks = 0", "blocks: 0 found"),
+        (
+            "steps = 5\n[model]\narchitecture = 'skipnet'\nstem = 4",
+            "skipnet configuration: unknown key 'stem'",
+        ),
+        (
+            "steps = 5\n[model]\narchitecture = 'skipnet'\n[data]\nsize = 16",
+            "size: 16 found, a multiple of 32",
+        ),
         ("steps = 5\n[compute]\nloss_backend = 'numpy'", "'numpy' found; allowed: drjit, drjit-plain, torch"),
         ("steps = 5\n[compute]\nprecision = 'float16'", "'float16' found; did you mean"),
         ("steps = ", "not valid TOML"),

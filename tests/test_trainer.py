@@ -139,6 +139,19 @@ def test_another_seed_is_another_run(data: Path, whole: Path, tmp_path: Path) ->
     assert not same_run(whole, tmp_path)
 
 
+@pytest.mark.parametrize("architecture", ["skipnet", "skipnet-plus"])
+def test_one_trainer_trains_every_network(architecture: str, tmp_path: Path) -> None:
+    recipe = replace(
+        RECIPE,
+        steps=2,
+        model=ModelRecipe(architecture, width=2),
+        data=replace(RECIPE.data, size=32),
+    )
+    result = train(recipe, write_spheres(tmp_path / "faces", 2, size=32), tmp_path / "run", progress=False)
+    assert load_weights(result.weights).architecture == architecture
+    assert [line["step"] for line in read_history(result.history)] == [0, 1]
+
+
 def test_runs_are_not_mixed(data: Path, whole: Path, tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="holds a run already"):
         train(RECIPE, data, whole, progress=False)

@@ -9,8 +9,10 @@ import torch
 from safetensors.torch import save_file
 
 from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.model.network import Network
 from sfsnet_dr.model.sfsnet import SfSNet
-from sfsnet_dr.model.weights import HEADER, build, load_weights, read_metadata, save_weights
+from sfsnet_dr.model.skipnet import SkipNet, SkipNetPlus
+from sfsnet_dr.model.weights import HEADER, build, load_weights, read_metadata, save_weights, settings
 
 
 @pytest.fixture
@@ -93,6 +95,26 @@ def test_nothing_is_left_when_the_folder_is_missing(tmp_path: Path, model: SfSNe
     with pytest.raises(BadInput, match="cannot be written"):
         save_weights(tmp_path / "nowhere" / "w.safetensors", model)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("network", [SkipNet(4, 32), SkipNetPlus(4)], ids=["skipnet", "skipnet-plus"])
+def test_every_architecture_comes_back_by_its_name(tmp_path: Path, network: Network) -> None:
+    images = torch.rand(2, 3, 32, 32)
+    network(images)
+    save_weights(tmp_path / "w.safetensors", network)
+    loaded = load_weights(tmp_path / "w.safetensors")
+    assert type(loaded) is type(network)
+    assert loaded.config == network.config
+    with torch.no_grad():
+        for a, b in zip(network.eval()(images), loaded(images), strict=True):
+            assert torch.equal(a, b)
+
+
+def test_settings_are_those_of_the_paper() -> None:
+    assert settings("skipnet") == {"width": 64, "size": 128}
+    assert settings("skipnet-plus") == {"width": 64}
+    with pytest.raises(BadInput, match="'skipnet-plsu' found; did you mean 'skipnet-plus'"):
+        settings("skipnet-plsu")
 
 
 def test_sizes_below_one_are_refused() -> None:

@@ -14,10 +14,13 @@ from sfsnet_dr.apply.picture import Picture, read_picture
 from sfsnet_dr.base import provenance
 from sfsnet_dr.base.atomic import output_dir
 from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.base.color import linear_to_srgb, srgb_to_linear
+from sfsnet_dr.base.conventions import FACE_SIZE
 from sfsnet_dr.data.photograph import Eyes
+from sfsnet_dr.data.pseudo_labels import Values
+from sfsnet_dr.fit.trained import load_trained
 from sfsnet_dr.metrics.image import mae_8bit
 from sfsnet_dr.model.predict import predict
-from sfsnet_dr.model.weights import load_weights
 from sfsnet_dr.render.shading_numpy import shading
 from sfsnet_dr.sh.coefficients import Shading
 
@@ -50,23 +53,36 @@ def decompose(
     for name in names:
         if names.count(name) > 1:
             raise BadInput(f"images: {names.count(name)} are called {name!r}, and would share a folder")
-    model = load_weights(weights)
+    trained = load_trained(weights)
     read = [read_picture(path, eyes, mask) for path in images]
     folder = output_dir(out)
-    faces = take_apart(model, read)
+    faces = take_apart(trained.model, read, size=trained.size, values=trained.values)
     metadata = {"sfsnet_dr:weights_sha256": provenance.sha256(Path(weights))}
     for face in faces:
         write_decomposed(folder, face, metadata)
     return faces
 
 
-def take_apart(model: nn.Module, read: Sequence[Picture]) -> list[Decomposed]:
-    """Run the network on pictures of the canonical frame; writes nothing."""
-    batch = torch.from_numpy(np.stack([np.moveaxis(picture.image, -1, 0) for picture in read]))
-    result = predict(model, batch)
+def take_apart(
+    model: nn.Module, read: Sequence[Picture], *, size: int = FACE_SIZE, values: Values = "linear"
+) -> list[Decomposed]:
+    """Run the network on pictures of the canonical frame; writes nothing.
+
+    Args:
+        model: the network.
+        read: at least one picture.
+        size: width and height that the pictures are averaged to, a divisor of 128.
+        values: what a photograph's numbers are to the network; encoded ones are decoded again where the
+            result is an image.
+    """
+    read = [_averaged(picture, size) for picture in read]
+    linear = np.stack([np.moveaxis(picture.image, -1, 0) for picture in read])
+    shown = linear if values == "linear" else linear_to_srgb(linear)
+    result = predict(model, torch.from_numpy(shown.astype(np.float32)))
     normal, albedo, light = (part.double().numpy() for part in result)
     shade = shading(normal, light)
-    maps = [np.moveaxis(part, 1, -1) for part in (normal, albedo, shade, albedo * shade)]
+    image = albedo * shade if values == "linear" else srgb_to_linear(albedo * shade)
+    maps = [np.moveaxis(part, 1, -1) for part in (normal, albedo, shade, image)]
     return [
         Decomposed(
             name=picture.name,
@@ -77,6 +93,7 @@ def take_apart(model: nn.Module, read: Sequence[Picture]) -> list[Decomposed]:
             light=Shading.from_flat(light[index]),
             shading=maps[2][index],
             reconstruction=maps[3][index],
+            values=values,
         )
         for index, picture in enumerate(read)
     ]
@@ -89,3 +106,13 @@ def reconstruction_error(face: Decomposed) -> float:
     inverse wrong shading reconstructs perfectly.
     """
     return mae_8bit(face.reconstruction, face.image, face.mask)
+
+
+def _averaged(picture: Picture, size: int) -> Picture:
+    """The picture with means over blocks of pixels, in linear light; of 128 x 128 unless it is that size."""
+    block = len(picture.image) // size
+    if block == 1:
+        return picture
+    image = picture.image.reshape(size, block, size, block, 3).mean((1, 3))
+    mask = picture.mask.reshape(size, block, size, block).mean((1, 3))
+    return Picture(picture.name, image, mask)

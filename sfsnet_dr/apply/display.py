@@ -22,6 +22,12 @@ def show_linear(image: Array) -> Pixels:
     return _quantise(color.linear_to_srgb(np.clip(image, 0.0, 1.0)))
 
 
+def show_encoded(image: Array) -> Pixels:
+    """Numbers (H, W, 3) that are sRGB-encoded already, as they are; values outside 0..1 are clipped."""
+    check_shape("image", image, "H W 3")
+    return _quantise(image)
+
+
 def show_normals(normal: Array) -> Pixels:
     """Unit vectors (H, W, 3) as the colours (n + 1) / 2: red to the right, green up, blue to the viewer."""
     check_shape("normal", normal, "H W 3")

@@ -15,10 +15,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sfsnet_dr.apply.display import Pixels, on_white, sheet, show_linear, show_normals
+from sfsnet_dr.apply.display import Pixels, on_white, sheet, show_encoded, show_linear, show_normals
 from sfsnet_dr.apply.relight import VIEW_LIGHTS, relit_views
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.base.imageio import write_exr, write_png
+from sfsnet_dr.data.pseudo_labels import Values
 from sfsnet_dr.sh.coefficients import Shading
 
 Array = NDArray[np.floating]
@@ -39,7 +40,9 @@ class Decomposed:
         albedo: (H, W, 3) as the network gave it, not clamped.
         light: shading coefficients.
         shading: Y(n)^T L (H, W, 3), not clamped.
-        reconstruction: albedo times shading (H, W, 3), not clamped.
+        reconstruction: albedo times shading (H, W, 3), not clamped; decoded where that is encoded.
+        values: "display" if the network was trained in the paper's display-referred form: albedo times
+            shading is then the sRGB-encoded image, and both are shown as they are.
     """
 
     name: str
@@ -50,6 +53,7 @@ class Decomposed:
     light: Shading
     shading: Array
     reconstruction: Array
+    values: Values = "linear"
 
 
 def pictures(face: Decomposed) -> dict[str, tuple[str, Pixels]]:
@@ -57,15 +61,16 @@ def pictures(face: Decomposed) -> dict[str, tuple[str, Pixels]]:
 
     Shading is divided by its largest value on the face if that is above 1, so that it does not burn out.
     """
+    show = show_linear if face.values == "linear" else show_encoded
     peak = max(1.0, float((face.shading * face.mask[..., None]).max()))
     maps = {
         "normal": ("Normals", show_normals(face.normal)),
-        "albedo": ("Albedo", show_linear(face.albedo)),
-        "shading": ("Shading", show_linear(face.shading / peak)),
+        "albedo": ("Albedo", show(face.albedo)),
+        "shading": ("Shading", show(face.shading / peak)),
         "reconstruction": ("Reconstruction", show_linear(face.reconstruction)),
     }
     for side, view in relit_views(face.normal, face.albedo).items():
-        maps[f"relit_{side}"] = (f"Lit from the {side}", show_linear(view))
+        maps[f"relit_{side}"] = (f"Lit from the {side}", show(view))
     masked = {stem: (label, on_white(picture, face.mask)) for stem, (label, picture) in maps.items()}
     return {"input": ("Input", show_linear(face.image))} | masked
 
@@ -91,7 +96,8 @@ def write_decomposed(folder: Path | str, face: Decomposed, metadata: Mapping[str
             write_png(partial / f"{stem}.png", picture / 255.0, encoded=True)
         (partial / _SHEET).write_bytes(sheet(list(shown.values()), title=face.name))
         light = json.dumps([float(value) for value in face.light.flat()])
-        write_exr(partial / _EXR, _channels(face), {**metadata, "sfsnet_dr:light": light})
+        strings = {**metadata, "sfsnet_dr:light": light, "sfsnet_dr:values": face.values}
+        write_exr(partial / _EXR, _channels(face), strings)
     return target
 
 

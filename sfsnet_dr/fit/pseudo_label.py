@@ -24,14 +24,13 @@ from torch.nn import functional
 
 from sfsnet_dr.base.atomic import output_dir
 from sfsnet_dr.base.checks import BadInput
-from sfsnet_dr.base.conventions import FACE_SIZE
 from sfsnet_dr.base.provenance import sha256
 from sfsnet_dr.data.flip import flip_light, flip_map, flip_normal
 from sfsnet_dr.data.photo_set import Photo, PhotoSet, hold_back, list_photos, load_photos
 from sfsnet_dr.data.pseudo_labels import SHARD, LabelFolder, Labels, Values, as_network_input, encoded
+from sfsnet_dr.fit.trained import load_trained
 from sfsnet_dr.model.outputs import Decomposition
 from sfsnet_dr.model.predict import predict
-from sfsnet_dr.model.weights import load_weights, read_metadata
 
 #: Deviations at which a pixel's confidence has fallen to a half.
 HALF_ANGLE: Final = math.radians(10)
@@ -70,18 +69,18 @@ def pseudo_label(
     listed, skipped = list_photos(photographs)
     train, held = hold_back(listed, held_back)
     train = train[:most]
-    model, values = load_weights(weights), trained_values(weights)
+    trained = load_trained(weights)
     spec = {
         "weights": sha256(Path(weights)),
-        "size": size or trained_size(weights),
-        "values": values,
+        "size": size or trained.size,
+        "values": trained.values,
         "photographs": hashlib.sha256("\n".join(photo.name for photo in train).encode()).hexdigest(),
     }
     folder = LabelFolder(output_dir(out), spec)
     shards = [train[begin : begin + SHARD] for begin in range(0, len(train), SHARD)]
     for number, shard in enumerate(shards):
         if not folder.has(number):
-            _write_shard(folder, number, shard, model, values)
+            _write_shard(folder, number, shard, trained.model, trained.values)
         on_shard(len(shard))
     return folder.finish(
         len(shards), [photo.name for photo in held], {item.name: item.reason for item in skipped}
@@ -123,18 +122,6 @@ def confident_answer(model: nn.Module, image: Tensor) -> tuple[Decomposition, Te
     )
     confidence = 1 / (1 + angle) / (1 + (deviation / HALF_ALBEDO).square())
     return Decomposition(direction / length.clamp_min(1e-6), mean, light.mean(0)), confidence
-
-
-def trained_size(weights: Path | str) -> int:
-    """Width of the images that weights were trained on, as the recipe in them says; 128 without one."""
-    data = read_metadata(weights).get("recipe", {}).get("data", {})
-    return int(data.get("size") or FACE_SIZE)
-
-
-def trained_values(weights: Path | str) -> Values:
-    """What a photograph's numbers are to a network, as the recipe in its weights says."""
-    found: Values = read_metadata(weights).get("recipe", {}).get("real", {}).get("values", "linear")
-    return found
 
 
 def _answer(model: nn.Module, image: Tensor, flip: bool, shift: tuple[int, int]) -> Decomposition:

@@ -11,33 +11,52 @@ import torch
 
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.base.config import load_toml
+from sfsnet_dr.base.conventions import FACE_SIZE
 from sfsnet_dr.data.augment import Augmentation
 from sfsnet_dr.data.mixture import RealOptions
 from sfsnet_dr.loss.reconstruction import Backend
 from sfsnet_dr.loss.terms import LossWeights
+from sfsnet_dr.model.network import Network
 from sfsnet_dr.model.sfsnet import SfSNet
-from sfsnet_dr.model.weights import build
+from sfsnet_dr.model.weights import build, settings
 
 Precision = Literal["auto", "float32", "bfloat16"]
 
 
 @dataclass(frozen=True)
 class ModelRecipe:
-    """The network, by name and size; the defaults are the paper's."""
+    """The network, by name and settings; those that are left out are the paper's.
+
+    Args:
+        architecture: its name.
+        stem, features, blocks: of SfSNet.
+        width: of SkipNet and SkipNet+.
+    """
 
     architecture: str = SfSNet.architecture
-    stem: int = 64
-    features: int = 128
-    blocks: int = 5
+    stem: int | None = None
+    features: int | None = None
+    blocks: int | None = None
+    width: int | None = None
 
     @property
     def config(self) -> dict[str, int]:
-        """The sizes, as the network's constructor takes them."""
-        return {"stem": self.stem, "features": self.features, "blocks": self.blocks}
+        """The settings, as the network's constructor takes them.
 
-    def make(self) -> SfSNet:
-        """A freshly initialised network."""
-        return build(self.architecture, self.config)
+        Raises:
+            BadInput: for an unknown architecture.
+        """
+        given = {name: getattr(self, name) for name in ("stem", "features", "blocks", "width")}
+        return settings(self.architecture) | {k: v for k, v in given.items() if v is not None}
+
+    def make(self, size: int = FACE_SIZE) -> Network:
+        """A freshly initialised network for images of ``size`` pixels square.
+
+        Raises:
+            BadInput: for a setting that the architecture does not have, or a size that it cannot take.
+        """
+        config = self.config
+        return build(self.architecture, config | ({"size": size} if "size" in config else {}))
 
 
 @dataclass(frozen=True)
@@ -131,6 +150,12 @@ class Recipe:
         _not_negative(self, "seed", "most_skipped")
         self.real.count(self.batch_size)
 
+    def make_model(self) -> Network:
+        """The recipe's network as it is before the first step, in training mode; for its seed, the same."""
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(self.seed)
+            return self.model.make(self.data.size or FACE_SIZE).train()
+
 
 def read_recipe(path: Path | str) -> Recipe:
     """Read a recipe.
@@ -140,7 +165,7 @@ def read_recipe(path: Path | str) -> Recipe:
     """
     try:
         recipe = load_toml(Recipe, path)
-        recipe.model.make()
+        recipe.make_model()
     except BadInput as error:
         raise BadInput(f"{error}" if str(error).startswith(str(path)) else f"{path}: {error}") from error
     return recipe

@@ -11,8 +11,8 @@ from sfsnet_dr.fit.collapse import spread_ratios
 from sfsnet_dr.fit.recipe import Recipe
 from sfsnet_dr.loss.mixture import mixed_loss
 from sfsnet_dr.loss.terms import LossTerms, sfsnet_loss
+from sfsnet_dr.model.network import Network
 from sfsnet_dr.model.outputs import Decomposition
-from sfsnet_dr.model.sfsnet import SfSNet
 
 
 class NotFinite(Exception):
@@ -20,7 +20,7 @@ class NotFinite(Exception):
 
 
 def training_step(
-    model: SfSNet, adam: torch.optim.Adam, batch: FaceBatch | MixedBatch, recipe: Recipe, rate: float
+    model: Network, adam: torch.optim.Adam, batch: FaceBatch | MixedBatch, recipe: Recipe, rate: float
 ) -> dict[str, float]:
     """Learn from one batch.
 
@@ -61,7 +61,7 @@ def training_step(
 
 
 def _forward(
-    model: SfSNet, batch: FaceBatch | MixedBatch, recipe: Recipe
+    model: Network, batch: FaceBatch | MixedBatch, recipe: Recipe
 ) -> tuple[Tensor, dict[str, Tensor], dict[str, float]]:
     """The loss, all terms to be noted, and how much the answers for labelled faces vary."""
     layout = torch.channels_last if recipe.compute.channels_last else torch.contiguous_format

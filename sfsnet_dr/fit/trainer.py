@@ -28,7 +28,6 @@ from sfsnet_dr.fit.history import History, read_history
 from sfsnet_dr.fit.recipe import Recipe
 from sfsnet_dr.fit.signals import StopRequest
 from sfsnet_dr.fit.step import NotFinite, training_step
-from sfsnet_dr.model.sfsnet import SfSNet
 from sfsnet_dr.model.weights import save_weights
 
 #: Files of a run's folder.
@@ -118,7 +117,9 @@ class _Run:
         self.recipe, self.folder, self.batches = recipe, folder, batches
         self.data = batches.fingerprint
         self.watch = Watch()
-        self.model = _make_model(recipe)
+        self.model = recipe.make_model()
+        layout = torch.channels_last if recipe.compute.channels_last else torch.contiguous_format
+        self.model.to(memory_format=layout)  # type: ignore[call-overload]
         decay = recipe.optimiser.weight_decay
         self.adam = torch.optim.Adam(self.model.parameters(), weight_decay=decay)
         self.done = Progress()
@@ -196,15 +197,6 @@ def _bank(recipe: Recipe, folder: Path, progress: bool) -> LightBank:
     with _bar(progress, transient=True) as bar:
         task = bar.add_task("drawing lights", total=wanted.lights, loss="", speed="")
         return kept_bank(folder / LIGHTS, wanted.light, wanted.lights, recipe.seed, lambda: bar.advance(task))
-
-
-def _make_model(recipe: Recipe) -> SfSNet:
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(recipe.seed)
-        model = recipe.model.make()
-    layout = torch.channels_last if recipe.compute.channels_last else torch.contiguous_format
-    model.to(memory_format=layout)  # type: ignore[call-overload]
-    return model.train()
 
 
 def _spreads(values: dict[str, Any]) -> dict[str, float]:

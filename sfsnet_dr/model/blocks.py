@@ -6,6 +6,7 @@ makes it redundant: parameter counts and layouts then agree with theirs.
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import torch
@@ -56,8 +57,7 @@ class MapHead(nn.Module):
     """``BU - C(k1) - C64(k3) - C*3(k1)``: features (B, C, H, W) to a raw map (B, 3, 2H, 2W), float32.
 
     The appendix writes ``CD128(k1)`` for the first convolution without saying what D is; as in the release
-    it is a ``C128(k1)``. The last layer runs in float32 also under autocast: eight bits of mantissa would
-    step the normals by .2 degrees.
+    it is a ``C128(k1)``.
     """
 
     def __init__(self, features: int, narrow: int) -> None:
@@ -67,10 +67,7 @@ class MapHead(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         x = functional.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False)
-        x = self.layers(x)
-        with torch.autocast(x.device.type, enabled=False):
-            raw: Tensor = self.out(x.float())
-        return raw
+        return to_map(self.layers(x), self.out)
 
 
 def unit_normal(raw: Tensor) -> Tensor:
@@ -79,10 +76,34 @@ def unit_normal(raw: Tensor) -> Tensor:
     return raw / length
 
 
-def initialise(network: nn.Module) -> None:
-    """Convolutions after He et al. 2015, which keeps the variance through ReLU layers; biases zero."""
+def to_map(features: Tensor, out: nn.Conv2d) -> Tensor:
+    """The last convolution of a map, in float32 also under autocast.
+
+    Eight bits of mantissa would step the normals by .2 degrees.
+    """
+    with torch.autocast(features.device.type, enabled=False):
+        raw: Tensor = out(features.float())
+    return raw
+
+
+def to_light(features: Tensor, out: nn.Linear) -> Tensor:
+    """Means over the pixels of features (B, C, H, W), fully connected to the light, in float32 also under
+    autocast."""
+    with torch.autocast(features.device.type, enabled=False):
+        light: Tensor = out(features.float().mean((2, 3)))
+    return light
+
+
+def initialise(network: nn.Module, slope: float = 0.0) -> None:
+    """Convolutions after He et al. 2015, which keeps the variance through (leaky) ReLU layers; biases zero.
+
+    A transposed convolution of stride s adds up inputs k^2 / s^2 numbers for one output.
+    """
     for module in network.modules():
-        if isinstance(module, nn.Conv2d):
-            nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
-            if module.bias is not None:
-                nn.init.zeros_(module.bias)
+        if isinstance(module, nn.ConvTranspose2d):
+            terms = module.in_channels * module.kernel_size[0] ** 2 / module.stride[0] ** 2
+            nn.init.normal_(module.weight, std=math.sqrt(2 / ((1 + slope**2) * terms)))
+        elif isinstance(module, nn.Conv2d):
+            nn.init.kaiming_normal_(module.weight, a=slope, nonlinearity="leaky_relu")
+        if isinstance(module, nn.Conv2d | nn.ConvTranspose2d) and module.bias is not None:
+            nn.init.zeros_(module.bias)

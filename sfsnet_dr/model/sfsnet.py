@@ -7,13 +7,21 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from sfsnet_dr.base.checks import BadInput, check_shape
 from sfsnet_dr.base.conventions import LIGHT_SIZE
-from sfsnet_dr.model.blocks import MapHead, conv, conv_bn_relu, initialise, residual_stage, unit_normal
+from sfsnet_dr.model.blocks import (
+    MapHead,
+    conv,
+    conv_bn_relu,
+    initialise,
+    residual_stage,
+    to_light,
+    unit_normal,
+)
+from sfsnet_dr.model.network import Network
 from sfsnet_dr.model.outputs import Decomposition
 
 
-class SfSNet(nn.Module):
+class SfSNet(Network):
     """The network of the paper's appendix; the defaults are its widths and depth (3,423,393 parameters).
 
     Input is a linear Rec. 709 image (B, 3, H, W), exposed so that white paper facing the light is near 1;
@@ -30,13 +38,10 @@ class SfSNet(nn.Module):
     """
 
     architecture: ClassVar[str] = "sfsnet"
+    multiple: ClassVar[int] = 2
 
     def __init__(self, stem: int = 64, features: int = 128, blocks: int = 5) -> None:
-        super().__init__()
-        self.config = {"stem": stem, "features": features, "blocks": blocks}
-        for name, value in self.config.items():
-            if value < 1:
-                raise BadInput(f"{name}: {value} found, at least 1 is needed for an SfSNet")
+        super().__init__({"stem": stem, "features": features, "blocks": blocks})
         self.conv = nn.Sequential(
             conv_bn_relu(3, stem, 7), conv_bn_relu(stem, features, 3), conv(features, features, 3, stride=2)
         )
@@ -49,14 +54,8 @@ class SfSNet(nn.Module):
         initialise(self)
 
     def forward(self, image: Tensor) -> Decomposition:
-        """Decompose images (B, 3, H, W), linear.
-
-        Raises:
-            BadInput: for another rank or channel count, or odd sizes.
-        """
-        sizes = check_shape("image", image, "B 3 H W")
-        if sizes["H"] % 2 or sizes["W"] % 2:
-            raise BadInput(f"image: {sizes['H']} x {sizes['W']} pixels found, even sizes are needed")
+        """See ``Network``; sizes are even."""
+        self.check(image)
         features = self.conv(image)
         normal_features = self.normal_blocks(features)
         albedo_features = self.albedo_blocks(features)
@@ -69,7 +68,4 @@ class SfSNet(nn.Module):
     def _light(self, image: Tensor, normal: Tensor, albedo: Tensor) -> Tensor:
         # The text lists image, normal, albedo; the release concatenates normal, albedo, image. The order
         # only names the input channels of the 1 x 1 convolution; the release's is kept.
-        joined = self.light_features(torch.cat((normal, albedo, image), dim=1))
-        with torch.autocast(joined.device.type, enabled=False):
-            light: Tensor = self.light_out(joined.float().mean((2, 3)))
-        return light
+        return to_light(self.light_features(torch.cat((normal, albedo, image), dim=1)), self.light_out)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,10 +14,14 @@ from torch import Tensor, nn
 
 from sfsnet_dr.base.atomic import atomic_path
 from sfsnet_dr.base.checks import BadInput, nearest
+from sfsnet_dr.model.network import Network
 from sfsnet_dr.model.sfsnet import SfSNet
+from sfsnet_dr.model.skipnet import SkipNet, SkipNetPlus
 
 #: Architectures by the name that files and recipes use.
-ARCHITECTURES: Final = {SfSNet.architecture: SfSNet}
+ARCHITECTURES: Final[dict[str, type[Network]]] = {
+    kind.architecture: kind for kind in (SfSNet, SkipNet, SkipNetPlus)
+}
 
 FORMAT: Final = "sfsnet_dr.weights"
 VERSION: Final = 1
@@ -25,23 +30,33 @@ VERSION: Final = 1
 HEADER: Final = "sfsnet_dr"
 
 
-def build(architecture: str, config: Mapping[str, int]) -> SfSNet:
+def settings(architecture: str) -> dict[str, int]:
+    """The settings that an architecture has, with their defaults: the paper's.
+
+    Raises:
+        BadInput: for an unknown name.
+    """
+    if architecture not in ARCHITECTURES:
+        raise BadInput(f"architecture: {architecture!r} found; {nearest(architecture, ARCHITECTURES)}")
+    parameters = inspect.signature(ARCHITECTURES[architecture]).parameters
+    return {name: parameter.default for name, parameter in parameters.items()}
+
+
+def build(architecture: str, config: Mapping[str, int]) -> Network:
     """A freshly initialised network by name.
 
     Raises:
         BadInput: for an unknown name or an unknown configuration key.
     """
-    if architecture not in ARCHITECTURES:
-        raise BadInput(f"architecture: {architecture!r} found; {nearest(architecture, ARCHITECTURES)}")
-    kind = ARCHITECTURES[architecture]
-    known = kind(1, 1, 1).config
+    known = settings(architecture)
     for key in config:
         if key not in known:
             raise BadInput(f"{architecture} configuration: unknown key {key!r}; {nearest(key, known)}")
+    kind: Callable[..., Network] = ARCHITECTURES[architecture]
     return kind(**config)
 
 
-def save_weights(path: Path | str, model: SfSNet, metadata: Mapping[str, Any] | None = None) -> None:
+def save_weights(path: Path | str, model: Network, metadata: Mapping[str, Any] | None = None) -> None:
     """Write parameters and batch-normalisation statistics, whole or not at all.
 
     Args:
@@ -61,7 +76,7 @@ def save_weights(path: Path | str, model: SfSNet, metadata: Mapping[str, Any] | 
         save_file(tensors, partial, {HEADER: json.dumps(header, sort_keys=True)})
 
 
-def load_weights(path: Path | str) -> SfSNet:
+def load_weights(path: Path | str) -> Network:
     """The network that a file of ``save_weights`` holds, in evaluation mode, on the CPU.
 
     Raises:
@@ -101,7 +116,7 @@ def _read(path: Path, header_only: bool = False) -> tuple[dict[str, Any], dict[s
     return header, tensors
 
 
-def _fitting(path: Path, header: dict[str, Any]) -> SfSNet:
+def _fitting(path: Path, header: dict[str, Any]) -> Network:
     try:
         return build(header["architecture"], header["config"])
     except BadInput as error:
