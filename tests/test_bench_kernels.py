@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import pytest
 
 from sfsnet_dr.loss.reconstruction_variants import VARIANTS, run
@@ -17,12 +19,27 @@ def test_ratio_is_taken_round_by_round() -> None:
     assert ours.median == 1.0
 
 
-def test_every_contender_has_every_turn() -> None:
+def test_every_contender_has_every_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(contests, "TURN_SECONDS", 0.0)
     calls: list[str] = []
     found = contest({"a": lambda: calls.append("a"), "b": lambda: calls.append("b")}, rounds=4)
     assert calls[:4] == ["a", "a", "b", "b"]
     assert calls[4:] == (["a"] * contests.IN_A_ROW + ["b"] * contests.IN_A_ROW) * 4
     assert all(len(times.rounds) == 4 for times in found.values())
+
+
+def test_a_turn_outlasts_the_threads_of_the_contender_before() -> None:
+    """The first calls are disturbed; the turn goes on until calls are not, and the fastest counts."""
+    start, calls = time.perf_counter(), 0
+
+    def disturbed_at_first() -> None:
+        nonlocal calls
+        calls += 1
+        time.sleep(0.004 if time.perf_counter() < start + 0.02 else 0.001)
+
+    (turn,) = contest({"a": disturbed_at_first}, rounds=1)["a"].rounds
+    assert turn < 0.003
+    assert calls > contests.IN_A_ROW
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import functools
 from collections.abc import Iterable
 from typing import Any
 
@@ -34,17 +35,22 @@ def check_shape(name: str, array: Any, pattern: str, **known: int) -> dict[str, 
     Raises:
         BadInput: naming the argument, the shape found and the pattern allowed.
     """
-    shape = tuple(int(s) for s in array.shape)
-    dims = pattern.split()
+    shape = tuple(map(int, array.shape))
+    dims = _dimensions(pattern)
     sizes = dict(known)
     matches = len(dims) == len(shape)
     for dim, size in zip(dims, shape, strict=False):
-        want = int(dim) if dim.isdigit() else sizes.setdefault(dim, size)
+        want = dim if isinstance(dim, int) else sizes.setdefault(dim, size)
         matches = matches and want == size
     if not matches:
         where = f" with {', '.join(f'{k}={v}' for k, v in known.items())}" if known else ""
-        raise BadInput(f"{name}: shape {shape} found, ({', '.join(dims)}){where} expected")
+        raise BadInput(f"{name}: shape {shape} found, ({', '.join(map(str, dims))}){where} expected")
     return sizes
+
+
+@functools.cache
+def _dimensions(pattern: str) -> tuple[int | str, ...]:
+    return tuple(int(dim) if dim.isdigit() else dim for dim in pattern.split())
 
 
 def nearest(word: str, allowed: Iterable[str]) -> str:

@@ -34,6 +34,7 @@ class BenchLoss:
     def run(self) -> Result:
         from sfsnet_dr.study.bench.loss import bench_loss
 
+        _make_folder(self.records)
         options = {"compiled": self.compiled, "variants": self.variants}
         return _result(*bench_loss(command_line(), rounds=self.rounds, **options), self.records)
 
@@ -53,9 +54,18 @@ class BenchRender:
     def run(self) -> Result:
         from sfsnet_dr.study.bench.render import bench_render
 
+        _make_folder(self.records)
         return _result(
             *bench_render(command_line(), rounds=self.rounds, compiled=self.compiled), self.records
         )
+
+
+def _make_folder(records: Path | None) -> None:
+    """A folder that cannot be written is told before minutes of measuring, not after."""
+    from sfsnet_dr.base.atomic import output_dir
+
+    if records is not None:
+        output_dir(records.parent)
 
 
 def _result(records: list[Record], lines: list[str], path: Path | None) -> Result:

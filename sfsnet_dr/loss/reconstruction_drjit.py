@@ -53,8 +53,9 @@ class _MaskedL1(torch.autograd.Function):
         grads, ctx.grads = ctx.grads, None
         if grads is None:
             _, grads = value_and_gradients(ctx.expected, *ctx.saved_tensors)
-        factor = upstream[0] / ctx.expected
-        if factor.device.type != "cpu" or float(factor) != 1:  # on a GPU, asking would mean waiting
+        (found,) = upstream
+        if found.device.type != "cpu" or float(found) != ctx.expected:  # on a GPU, asking would mean waiting
+            factor = found / ctx.expected
             grads = [g.mul_(factor) for g in grads]
         return (*grads, None, None, None)
 

@@ -164,4 +164,4 @@ def _no_collection() -> Iterator[None]:
 
 def plain(x: Tensor) -> Tensor:
     """A parameter or another subclass as what it is in memory, differentiably."""
-    return x.as_subclass(Tensor)
+    return x if type(x) is Tensor else x.as_subclass(Tensor)

@@ -93,4 +93,4 @@ def _to_common_dtype(*tensors: Tensor) -> list[Tensor]:
 
 
 def _to_batch(tensor: Tensor, batch: int) -> Tensor:
-    return tensor.expand(batch, *tensor.shape[1:])
+    return tensor if tensor.shape[0] == batch else tensor.expand(batch, *tensor.shape[1:])

@@ -11,9 +11,11 @@ from typing import Any, Final
 
 import torch
 
-#: Calls in a row of one contender before the next has its turn; the fastest counts. In the first, threads
-#: of the contender before may still be waiting for work in a loop that keeps a core busy.
+#: Calls in a row of one contender before the next has its turn, and for how many seconds at least; the
+#: fastest counts. At first, threads of the contender before still wait for work in a loop that keeps a
+#: core busy, which takes some milliseconds: many calls, where they are short.
 IN_A_ROW: Final = 3
+TURN_SECONDS: Final = 0.03
 
 #: Bytes of each buffer for the copy bandwidth: beyond any cache.
 COPY_BYTES: Final = 256 * 2**20
@@ -56,7 +58,7 @@ def contest(contenders: Mapping[str, Callable[[], Any]], rounds: int) -> dict[st
     seconds: dict[str, list[float]] = {name: [] for name in contenders}
     for _ in range(rounds):
         for name, call in contenders.items():
-            seconds[name].append(min(_seconds(call) for _ in range(IN_A_ROW)))
+            seconds[name].append(_turn(call))
     return {name: Times(tuple(found)) for name, found in seconds.items()}
 
 
@@ -72,6 +74,13 @@ def compiler_missing() -> str | None:
     if not any(shutil.which(name) for name in ("g++", "clang++", "c++")):
         return "no C++ compiler was found, which torch.compile needs"
     return None
+
+
+def _turn(call: Callable[[], Any]) -> float:
+    found: list[float] = []
+    while len(found) < IN_A_ROW or sum(found) < TURN_SECONDS:
+        found.append(_seconds(call))
+    return min(found)
 
 
 def _seconds(call: Callable[[], Any]) -> float:
