@@ -19,6 +19,12 @@ def test_ratio_is_taken_round_by_round() -> None:
     assert ours.median == 1.0
 
 
+def test_share_is_of_the_bandwidth_in_the_same_round() -> None:
+    """Half of the bytes in as long as the copy takes, in both rounds, on a machine that slowed down."""
+    ours, copy = Times((1.0, 3.0)), Times((1.0, 3.0))
+    assert ours.share(copy, contests.COPY_BYTES) == (0.5, (0.5, 0.5))
+
+
 def test_every_contender_has_every_turn(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(contests, "TURN_SECONDS", 0.0)
     calls: list[str] = []
@@ -44,8 +50,8 @@ def test_a_turn_outlasts_the_threads_of_the_contender_before() -> None:
 
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (loss, render):
-        monkeypatch.setattr(module, "COPY_BYTES", 2**20)
+    monkeypatch.setattr(contests, "COPY_BYTES", 2**20)
+    monkeypatch.setattr(contests, "TURN_SECONDS", 0.0)
     monkeypatch.setattr(loss, "SIZES", ((2, 8, 8), (1, 16, 16)))
     monkeypatch.setattr(render, "SIZE", (2, 16, 16))
     monkeypatch.setattr(render, "SIDES", (8, 16, 32))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import functools
 from collections.abc import Iterable
 from typing import Any
 
@@ -36,7 +35,7 @@ def check_shape(name: str, array: Any, pattern: str, **known: int) -> dict[str, 
         BadInput: naming the argument, the shape found and the pattern allowed.
     """
     shape = tuple(map(int, array.shape))
-    dims = _dimensions(pattern)
+    dims = [int(dim) if dim.isdigit() else dim for dim in pattern.split()]
     sizes = dict(known)
     matches = len(dims) == len(shape)
     for dim, size in zip(dims, shape, strict=False):
@@ -46,11 +45,6 @@ def check_shape(name: str, array: Any, pattern: str, **known: int) -> dict[str, 
         where = f" with {', '.join(f'{k}={v}' for k, v in known.items())}" if known else ""
         raise BadInput(f"{name}: shape {shape} found, ({', '.join(map(str, dims))}){where} expected")
     return sizes
-
-
-@functools.cache
-def _dimensions(pattern: str) -> tuple[int | str, ...]:
-    return tuple(int(dim) if dim.isdigit() else dim for dim in pattern.split())
 
 
 def nearest(word: str, allowed: Iterable[str]) -> str:

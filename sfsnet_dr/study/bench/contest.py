@@ -44,6 +44,12 @@ class Times:
         ratios = Times(tuple(b / a for a, b in zip(self.rounds, to.rounds, strict=True)))
         return ratios.median, ratios.interval()
 
+    def share(self, copy: Times, traffic: int) -> tuple[float, tuple[float, float]]:
+        """``ratio`` to what copying ``traffic`` bytes would take at the bandwidth of a ``bandwidth_copy``."""
+        scale = traffic / (2 * COPY_BYTES)
+        ratio, (low, high) = self.ratio(copy)
+        return scale * ratio, (scale * low, scale * high)
+
 
 def contest(contenders: Mapping[str, Callable[[], Any]], rounds: int) -> dict[str, Times]:
     """Time every contender in every round, after two calls that may compile.
@@ -67,6 +73,16 @@ def copier(traffic: int) -> Callable[[], Any]:
     source = torch.ones(max(traffic // 8, 1))
     target = torch.empty_like(source)
     return lambda: target.copy_(source)
+
+
+def bandwidth_copy() -> Callable[[], Any]:
+    """What shows the copy bandwidth of the moment: ``COPY_BYTES`` read and as many written."""
+    return copier(2 * COPY_BYTES)
+
+
+def bytes_a_second(copy: Times) -> float:
+    """The bandwidth that a ``bandwidth_copy`` showed, bytes read and written a second."""
+    return 2 * COPY_BYTES / copy.median
 
 
 def compiler_missing() -> str | None:

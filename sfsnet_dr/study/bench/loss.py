@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import statistics
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
@@ -12,7 +13,14 @@ from sfsnet_dr.loss.reconstruction import reconstruction_l1
 from sfsnet_dr.loss.reconstruction_variants import VARIANTS, run
 from sfsnet_dr.report.record import Record, measured
 from sfsnet_dr.study.bench.bound import bound
-from sfsnet_dr.study.bench.contest import COPY_BYTES, Times, compiler_missing, contest, copier
+from sfsnet_dr.study.bench.contest import (
+    Times,
+    bandwidth_copy,
+    bytes_a_second,
+    compiler_missing,
+    contest,
+    copier,
+)
 
 #: Batch, height, width.
 SIZES: Final = ((8, 128, 128), (16, 128, 128), (64, 128, 128), (16, 256, 256))
@@ -58,10 +66,8 @@ def bench_loss(
         Records, and lines to read.
     """
     missing = compiler_missing() if compiled else "left out"
-    bandwidth = contest({"copy": copier(2 * COPY_BYTES)}, 5)["copy"]
-    bytes_a_second = 2 * COPY_BYTES / bandwidth.median
-    sized = [_measure(size, rounds, missing is None, bytes_a_second) for size in SIZES]
-    writer = _Writer(command, bytes_a_second)
+    sized = [_measure(size, rounds, missing is None) for size in SIZES]
+    writer = _Writer(command)
     records = writer.all(sized)
     lines = writer.lines(sized, missing)
     if variants:
@@ -91,7 +97,7 @@ def step(loss: Callable[..., Tensor], inputs: Inputs) -> Callable[[], Any]:
     return lambda: torch.autograd.grad(loss(*leaves, image, mask), leaves)
 
 
-def _measure(size: tuple[int, int, int], rounds: int, compiled: bool, bytes_a_second: float) -> Sized:
+def _measure(size: tuple[int, int, int], rounds: int, compiled: bool) -> Sized:
     inputs = example(size)
     ours = step(lambda *x: reconstruction_l1(*x, backend="drjit"), inputs)
     eager = step(_eager, inputs)
@@ -99,9 +105,10 @@ def _measure(size: tuple[int, int, int], rounds: int, compiled: bool, bytes_a_se
     if compiled:
         torch.compiler.reset()
         contenders["torch_compile"] = step(torch.compile(_eager, dynamic=False), inputs)
-    contenders["same_size_copy"] = copier(BYTES * size[0] * size[1] * size[2])
+    traffic = BYTES * size[0] * size[1] * size[2]
+    contenders |= {"same_size_copy": copier(traffic), "copy": bandwidth_copy()}
     times = contest(contenders, rounds)
-    copy_seconds = BYTES * size[0] * size[1] * size[2] / bytes_a_second
+    copy_seconds = traffic / bytes_a_second(times["copy"])
     return Sized(size, times, bound(ours, times["drjit"].median, copy_seconds))
 
 
@@ -109,12 +116,17 @@ def _eager(*inputs: Tensor) -> Tensor:
     return reconstruction_l1(*inputs, backend="torch")
 
 
+def _bandwidth(sized: list[Sized]) -> float:
+    """GB/s."""
+    return statistics.median(bytes_a_second(s.times["copy"]) for s in sized) / 1e9
+
+
 class _Writer:
-    def __init__(self, command: str, bytes_a_second: float) -> None:
-        self._command, self._bytes_a_second = command, bytes_a_second
+    def __init__(self, command: str) -> None:
+        self._command = command
 
     def all(self, sized: list[Sized]) -> list[Record]:
-        records = [self._record("loss.copy_bandwidth", self._bytes_a_second / 1e9, "GB/s")]
+        records = [self._record("loss.copy_bandwidth", _bandwidth(sized), "GB/s")]
         for name in ("torch_eager", "torch_compile"):
             if all(name in s.times for s in sized):
                 ratios = [s.times["drjit"].ratio(s.times[name]) for s in sized]
@@ -128,9 +140,7 @@ class _Writer:
         return records
 
     def lines(self, sized: list[Sized], missing: str | None) -> list[str]:
-        lines = [
-            f"copy bandwidth {self._bytes_a_second / 1e9:.1f} GB/s (read and written, beyond the caches)"
-        ]
+        lines = [f"copy bandwidth {_bandwidth(sized):.1f} GB/s (read and written, beyond the caches)"]
         lines += [f"torch.compile: not available: {missing}"] if missing else []
         for s in sized:
             share, _ = self._share(s)
@@ -147,8 +157,7 @@ class _Writer:
         return self._record(what, 1e3 * times.median, "ms", (1e3 * low, 1e3 * high))
 
     def _share(self, s: Sized) -> tuple[float, tuple[float, float]]:
-        fastest, (low, high) = s.traffic / self._bytes_a_second, s.times["drjit"].interval()
-        return fastest / s.times["drjit"].median, (fastest / high, fastest / low)
+        return s.times["drjit"].share(s.times["copy"], s.traffic)
 
     def _with_worst(
         self, what: str, sized: list[Sized], values: list[tuple[float, tuple[float, float]]]

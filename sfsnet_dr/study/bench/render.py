@@ -13,7 +13,14 @@ from torch import Tensor
 from sfsnet_dr.render import shading_drjit, shading_torch
 from sfsnet_dr.report.record import Record, measured
 from sfsnet_dr.study.bench.bound import bound
-from sfsnet_dr.study.bench.contest import COPY_BYTES, Times, compiler_missing, contest, copier
+from sfsnet_dr.study.bench.contest import (
+    Times,
+    bandwidth_copy,
+    bytes_a_second,
+    compiler_missing,
+    contest,
+    copier,
+)
 
 #: Batch, height, width at which the forms are compared.
 SIZE: Final = (64, 128, 128)
@@ -53,27 +60,26 @@ def bench_render(command: str, *, rounds: int = 15, compiled: bool = True) -> tu
     inputs, pixels = example(SIZE), SIZE[0] * SIZE[1] * SIZE[2]
     contenders: dict[str, Callable[[], Any]] = {name: _rendering(f, inputs) for name, f in forms.items()}
     contenders |= {f"{name}_gradient": _step(f, inputs) for name, f in forms.items()}
-    contenders |= {"copy": copier(2 * COPY_BYTES), "same_size_copy": copier(BYTES * pixels)}
+    contenders |= {"copy": bandwidth_copy(), "same_size_copy": copier(BYTES * pixels)}
     times = contest(contenders, rounds)
     ours = times["drjit"]
-    bytes_a_second = 2 * COPY_BYTES / times["copy"].median
-    fastest, (low, high) = BYTES * pixels / bytes_a_second, ours.interval()
-    records = [record("copy_bandwidth", bytes_a_second / 1e9, "GB/s")]
+    bandwidth = bytes_a_second(times["copy"])
+    records = [record("copy_bandwidth", bandwidth / 1e9, "GB/s")]
     records += [record(f"ratio.{n}", *_ratio(ours, times[n])) for n in forms if n != "drjit"]
     records += [
         record(f"ratio.gradient.{n}", *_ratio(times["drjit_gradient"], times[f"{n}_gradient"]))
         for n in forms
         if n != "drjit"
     ]
-    share = fastest / ours.median
+    share, interval = ours.share(times["copy"], BYTES * pixels)
     records += [
-        record("share.copy_bandwidth", share, "1", (fastest / high, fastest / low)),
+        record("share.copy_bandwidth", share, "1", interval),
         record("share.same_size_copy", *_ratio(ours, times["same_size_copy"])),
     ]
     records += [_milliseconds(record, name, found) for name, found in times.items()]
     lines = [f"torch.compile: not available: {missing}"] if missing else []
     lines += [f"64x128x128: {1e3 * ours.median:.2f} ms, {100 * share:.0f} % of the copy bandwidth"]
-    lines += [f"    {bound(contenders['drjit'], ours.median, fastest)}"]
+    lines += [f"    {bound(contenders['drjit'], ours.median, BYTES * pixels / bandwidth)}"]
     return _over_sizes(record, records, lines, rounds)
 
 
