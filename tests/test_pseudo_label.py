@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.base.conventions import LIGHT_SIZE
 from sfsnet_dr.data.flip import flip_light, flip_map, flip_normal
+from sfsnet_dr.data.photo_source import photo_folder
 from sfsnet_dr.data.pseudo_labels import decoded, encoded, load_pseudo_labels
 from sfsnet_dr.fit import pseudo_label as module
 from sfsnet_dr.fit.pseudo_label import confident_answer, pseudo_label
@@ -109,7 +110,7 @@ def test_a_stopped_run_ends_as_one_that_was_not(
     monkeypatch.setattr(module, "SHARD", 2)
     photos = write_photos(tmp_path / "p", 7)
     (photos / "004.png").write_bytes(b"")
-    told = pseudo_label(photos, weights, tmp_path / "whole", held_back=1)
+    told = pseudo_label(photo_folder(photos, held_back=1), weights, tmp_path / "whole")
     assert told["labelled"] == 5
     assert list(told["skipped"]) == ["004.png"]
     [held] = told["held_back"]
@@ -118,12 +119,12 @@ def test_a_stopped_run_ends_as_one_that_was_not(
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        pseudo_label(photos, weights, tmp_path / "cut", held_back=1, on_shard=stop)
+        pseudo_label(photo_folder(photos, held_back=1), weights, tmp_path / "cut", on_shard=stop)
     with pytest.raises(BadInput, match="no finished labels"):
         load_pseudo_labels(tmp_path / "cut")
     shard = tmp_path / "cut" / "labels-00000.safetensors"
     before = shard.stat().st_mtime_ns
-    assert pseudo_label(photos, weights, tmp_path / "cut", held_back=1) == told
+    assert pseudo_label(photo_folder(photos, held_back=1), weights, tmp_path / "cut") == told
     assert shard.stat().st_mtime_ns == before
     whole, cut = (load_pseudo_labels(tmp_path / name) for name in ("whole", "cut"))
     assert whole.fingerprint == cut.fingerprint
@@ -135,9 +136,9 @@ def test_a_stopped_run_ends_as_one_that_was_not(
 
 def test_labels_of_two_kinds_are_not_mixed(weights: Path, tmp_path: Path) -> None:
     photos = write_photos(tmp_path / "p", 2)
-    pseudo_label(photos, weights, tmp_path / "out", held_back=0)
+    pseudo_label(photo_folder(photos, held_back=0), weights, tmp_path / "out")
     with pytest.raises(BadInput, match="labels with size = 16 found, 32 asked for"):
-        pseudo_label(photos, weights, tmp_path / "out", held_back=0, size=32)
+        pseudo_label(photo_folder(photos, held_back=0), weights, tmp_path / "out", size=32)
     shard = tmp_path / "out" / "labels-00000.safetensors"
     shard.write_bytes(shard.read_bytes()[:-1] + b"\1")
     with pytest.raises(BadInput, match="missing or changed"):

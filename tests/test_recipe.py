@@ -9,7 +9,7 @@ import pytest
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.fit.recipe import ComputeRecipe, OptimiserRecipe, Recipe, read_recipe
 
-RECIPES = sorted((Path(__file__).parents[1] / "training" / "recipes").glob("*.toml"))
+RECIPES = sorted((Path(__file__).parents[1] / "training" / "recipes").rglob("*.toml"))
 
 
 def test_a_recipe_without_sections_is_the_papers(tmp_path: Path) -> None:
@@ -28,7 +28,7 @@ def test_a_skipnet_is_made_for_the_size_of_its_images(tmp_path: Path) -> None:
     assert read_recipe(path).make_model().config == {"width": 4, "size": 64}
 
 
-@pytest.mark.parametrize("path", RECIPES, ids=lambda path: path.name)
+@pytest.mark.parametrize("path", RECIPES, ids=lambda path: f"{path.parent.name}/{path.name}")
 def test_recipes_of_the_repository_are_read(path: Path) -> None:
     assert read_recipe(path).steps > 0
     assert path.read_text().startswith("#"), "a recipe begins with its cost, command and expected numbers"

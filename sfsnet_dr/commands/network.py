@@ -26,7 +26,9 @@ class Train:
         Annotated[Path, arg(metavar="RECIPE", help="Recipe (TOML); its head says what it costs.")]
     ]
     out: Out
-    data: Annotated[Path | None, arg(metavar="DIR", help="Folder that `sfsnet-dr synth` wrote.")] = None
+    data: Annotated[
+        tuple[Path, ...], arg(metavar="DIR", help="Folders that `sfsnet-dr synth` wrote, one or more.")
+    ] = ()
     faces: Annotated[int, arg(help="Faces to render where --data is not given.")] = 24
     scene: Annotated[
         Path | None, arg(metavar="FILE", help="Their scene (TOML); left out, that of scenes/faces.toml.")
@@ -50,9 +52,9 @@ class Train:
         if self.environments is not None:
             light = replace(recipe.data.light, environments=str(self.environments))
             recipe = replace(recipe, data=replace(recipe.data, light=light))
-        data = self.data or self.out / "faces"
-        if self.data is None:
-            wanted = Synth(data, self.faces, scene=self.scene, resume=True)
+        data = self.data or (self.out / "faces",)
+        if not self.data:
+            wanted = Synth(data[0], self.faces, scene=self.scene, resume=True)
             render_faces(wanted.spec(), wanted)
         result = train(recipe, data, self.out, labels=self.labels, resume=self.resume, progress=True)
         records = [

@@ -34,27 +34,19 @@ class PseudoLabel:
     as_json: Json = False
 
     def run(self) -> Result:
-        from sfsnet_dr.data.photo_set import list_photos
+        from sfsnet_dr.data.photo_source import photo_folder
         from sfsnet_dr.fit.pseudo_label import pseudo_label
         from sfsnet_dr.report.console import bar
         from sfsnet_dr.report.record import measured
 
-        total = len(list_photos(self.photographs)[0]) - self.held_back
-        with bar("labelling photographs", min(total, self.most or total)) as advance:
+        source = photo_folder(self.photographs, held_back=self.held_back, most=self.most)
+        with bar("labelling photographs", len(source.train)) as advance:
 
             def on_shard(count: int) -> None:
                 for _ in range(count):
                     advance()
 
-            told = pseudo_label(
-                self.photographs,
-                self.weights,
-                self.out,
-                size=self.size,
-                held_back=self.held_back,
-                most=self.most,
-                on_shard=on_shard,
-            )
+            told = pseudo_label(source, self.weights, self.out, size=self.size, on_shard=on_shard)
         numbers = {
             "labelled": told["labelled"],
             "skipped": len(told["skipped"]),

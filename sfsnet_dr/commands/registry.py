@@ -13,6 +13,7 @@ from sfsnet_dr.commands.photographs import PseudoLabel
 from sfsnet_dr.commands.regression import Regress
 from sfsnet_dr.commands.result import Command
 from sfsnet_dr.commands.stability import Stability
+from sfsnet_dr.commands.stages import Stages
 from sfsnet_dr.commands.start import Demo, Doctor
 from sfsnet_dr.commands.validation import Validate
 
@@ -24,6 +25,7 @@ COMMANDS: Final[dict[str, tuple[type[Command], str]]] = {
     "relight": (Relight, "Put one rendered face under another light"),
     "train": (Train, "Train a network by a recipe"),
     "pseudo-label": (PseudoLabel, "Label photographs with a network's answers"),
+    "stages": (Stages, "Run every stage of training and measure the networks"),
     "decompose": (Decompose, "Take photographs of faces apart"),
     "validate": (Validate, "Measure the SH renderer against the path tracer"),
     "worst-light": (WorstLight, "Find the light under which the SH renderer is most wrong"),

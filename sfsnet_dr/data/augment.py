@@ -28,6 +28,7 @@ class Augmentation:
 
     Args:
         size: width and height of the images, of which the bundles' must be a multiple; None keeps theirs.
+        held_back: bundles that are not trained on, to measure with.
         flip: probability of a left-right reflection.
         lights: how many lights are drawn before the first step and then used again, each time turned, white-
             balanced and exposed anew.
@@ -39,6 +40,7 @@ class Augmentation:
     """
 
     size: int | None = None
+    held_back: int = 0
     flip: float = 0.5
     lights: int = 4096
     light: LightSpec = field(default_factory=LightSpec)
@@ -48,6 +50,7 @@ class Augmentation:
         if not 0 <= self.flip <= 1:
             raise BadInput(f"flip: {self.flip} found, a probability from 0 to 1 is needed")
         limits = {"lights": (float(self.lights), 1.0, 1e6), "size": (float(self.size or 8), 8.0, 4096.0)}
+        limits["held_back"] = (float(self.held_back), 0.0, 1e6)
         limits |= {f"light.{key}": limit for key, limit in self.light.limits().items()}
         for key, (value, low, high) in limits.items():
             if not low <= value <= high:

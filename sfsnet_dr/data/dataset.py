@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final, cast
@@ -23,7 +23,7 @@ from sfsnet_dr.data.bundle import Bundle, read_bundle
 from sfsnet_dr.data.flip import flip_map, flip_normal, x_parity
 from sfsnet_dr.data.light_bank import LightBank, draw_bank
 from sfsnet_dr.data.lighting import Lighting, light_faces
-from sfsnet_dr.data.manifest import NAME, Manifest
+from sfsnet_dr.data.manifest import NAME, Entry, Manifest
 from sfsnet_dr.data.photo_effects import PhotoEffects, photograph, sample_effects
 from sfsnet_dr.data.relight import relight_batch
 from sfsnet_dr.scene.lights import MAP_ORDER
@@ -72,36 +72,57 @@ class Faces:
         return replace(self, **cast(dict[str, Any], moved))
 
 
-def load_faces(folder: Path | str, size: int | None = None) -> Faces:
-    """Read every bundle that a folder's manifest lists, in the order of their seeds.
+Folders = Path | str | Sequence[Path | str]
+
+
+def load_faces(folders: Folders, size: int | None = None, *, held_back: int = 0, held: bool = False) -> Faces:
+    """Read every bundle that the folders' manifests list, folder by folder in the order of their seeds.
 
     Args:
-        folder: what ``sfsnet-dr synth`` wrote.
+        folders: what ``sfsnet-dr synth`` wrote, one folder or several.
         size: width and height to average the bundles down to; None keeps theirs.
+        held_back: bundles that are kept for measuring: those with the lowest hashes of their bytes, so that
+            it hardly depends on the others whether one is.
+        held: read these instead of the rest.
 
     Raises:
-        BadInput: if there is no manifest, it is empty, or a bundle is missing, damaged, of another size or
-            other responses than the first, of too low an order, has an empty mask, or is no multiple of
-            ``size`` wide.
+        BadInput: if there is no manifest, it is empty, half or more would be held back, or a bundle is
+            missing, damaged, of another size or other responses than the first, of too low an order, has an
+            empty mask, or is no multiple of ``size`` wide.
     """
-    folder = Path(folder)
-    entries = sorted(Manifest(folder).entries, key=lambda entry: (entry.seed, entry.file))
-    if not entries:
-        raise BadInput(f"{folder}: no bundles listed in {NAME}; render some with `sfsnet-dr synth`")
+    listed = _listed(folders)
+    ranks = sorted(entry.sha256 for _, entry in listed)
+    if not 0 <= held_back < max(1, len(ranks) / 2):
+        raise BadInput(
+            f"data.held_back: {held_back} of {len(ranks)} bundles found, less than half is allowed"
+        )
+    kept = set(ranks[:held_back])
+    chosen = [(path, entry) for path, entry in listed if (entry.sha256 in kept) == held]
     planes: dict[str, Tensor] = {}
     directions = []
-    for number, entry in enumerate(entries):
-        path = folder / entry.file
+    for number, (path, _) in enumerate(chosen):
         bundle = read_bundle(path)
         directions.append(bundle.directions)
         for name, tensor in _tensors(path, bundle, size).items():
-            whole = planes.setdefault(name, tensor.new_empty(len(entries), *tensor.shape))
+            whole = planes.setdefault(name, tensor.new_empty(len(chosen), *tensor.shape))
             if tensor.shape != whole.shape[1:]:
-                raise BadInput(f"{path}: {_difference(tensor, whole[0])} expected as in {entries[0].file}")
+                raise BadInput(f"{path}: {_difference(tensor, whole[0])} expected as in {chosen[0][0].name}")
             whole[number] = tensor
-    digest = hashlib.sha256(f"{size}".join(entry.sha256 for entry in entries).encode()).hexdigest()
-    names = tuple(entry.file for entry in entries)
-    return Faces(**planes, directions=np.stack(directions), names=names, fingerprint=digest)
+    digest = hashlib.sha256(f"{size}".join(entry.sha256 for _, entry in chosen).encode()).hexdigest()
+    several = len({path.parent for path, _ in chosen}) > 1
+    names = (f"{path.parent.name}/{path.name}" if several else path.name for path, _ in chosen)
+    return Faces(**planes, directions=np.stack(directions), names=tuple(names), fingerprint=digest)
+
+
+def _listed(folders: Folders) -> list[tuple[Path, Entry]]:
+    """The bundles of all folders with their files."""
+    listed = []
+    for folder in [folders] if isinstance(folders, Path | str) else folders:
+        entries = sorted(Manifest(folder).entries, key=lambda entry: (entry.seed, entry.file))
+        if not entries:
+            raise BadInput(f"{folder}: no bundles listed in {NAME}; render some with `sfsnet-dr synth`")
+        listed += [(Path(folder) / entry.file, entry) for entry in entries]
+    return listed
 
 
 def _difference(found: Tensor, expected: Tensor) -> str:

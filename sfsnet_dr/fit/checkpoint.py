@@ -100,14 +100,15 @@ def _check_same(path: Path, header: dict[str, Any], recipe: Recipe, data: str) -
             f"{path}: trained on other bundles or environment maps; resume with the same, or choose another "
             "--out"
         )
-    for where, found, wanted in _differences(header["recipe"], as_dict(recipe)):
+    for where, found, wanted in differences(header["recipe"], as_dict(recipe)):
         raise BadInput(
             f"{path}: recipe with {where} = {found!r} found, {wanted!r} asked for; use the same recipe"
         )
 
 
-def _differences(a: Any, b: Any, where: str = "") -> list[tuple[str, Any, Any]]:
+def differences(a: Any, b: Any, where: str = "") -> list[tuple[str, Any, Any]]:
+    """Where two nested dictionaries differ: dotted key, value in the first, value in the second."""
     if not (isinstance(a, dict) and isinstance(b, dict)):
         return [] if a == b else [(where, a, b)]
     keys = sorted(a.keys() | b.keys())
-    return [d for key in keys for d in _differences(a.get(key), b.get(key), f"{where}.{key}".lstrip("."))]
+    return [d for key in keys for d in differences(a.get(key), b.get(key), f"{where}.{key}".lstrip("."))]

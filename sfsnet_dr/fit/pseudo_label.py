@@ -12,9 +12,8 @@ It is blind to errors that all views share. Light is weighted by its face's mean
 
 from __future__ import annotations
 
-import hashlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,7 +25,8 @@ from sfsnet_dr.base.atomic import output_dir
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.base.provenance import sha256
 from sfsnet_dr.data.flip import flip_light, flip_map, flip_normal
-from sfsnet_dr.data.photo_set import Photo, PhotoSet, hold_back, list_photos, load_photos
+from sfsnet_dr.data.photo_set import PhotoSet
+from sfsnet_dr.data.photo_source import PhotoSource
 from sfsnet_dr.data.pseudo_labels import SHARD, LabelFolder, Labels, Values, as_network_input, encoded
 from sfsnet_dr.fit.trained import load_trained
 from sfsnet_dr.model.outputs import Decomposition
@@ -40,24 +40,20 @@ _SHIFT: Final = 3 / 128
 
 
 def pseudo_label(
-    photographs: Path | str,
+    photographs: PhotoSource,
     weights: Path | str,
     out: Path | str,
     *,
     size: int | None = None,
-    held_back: int = 500,
-    most: int | None = None,
     on_shard: Callable[[int], object] = lambda _: None,
 ) -> dict[str, Any]:
-    """Label a folder of photographs; one that was stopped is gone on with.
+    """Label photographs; a run that was stopped is gone on with.
 
     Args:
-        photographs: see ``data.photo_set``.
+        photographs: of ``data.photo_source``; those held back are listed in the manifest and get no labels.
         weights: of the network that answers. Its recipe says what a photograph's numbers are to it.
         out: folder for the labels; made if missing.
         size: width and height; the size that the weights were trained at if not given.
-        held_back: photographs kept for measuring; they are listed in the manifest and get no labels.
-        most: label no more than these many.
         on_shard: called with the number of photographs that a shard took.
 
     Returns:
@@ -66,33 +62,23 @@ def pseudo_label(
     Raises:
         BadInput: for unusable photographs or weights, or an ``out`` with other labels.
     """
-    listed, skipped = list_photos(photographs)
-    train, held = hold_back(listed, held_back)
-    train = train[:most]
+    train = photographs.train
     trained = load_trained(weights)
-    spec = {
+    spec: dict[str, Any] = {
         "weights": sha256(Path(weights)),
         "size": size or trained.size,
         "values": trained.values,
-        "photographs": hashlib.sha256("\n".join(photo.name for photo in train).encode()).hexdigest(),
+        "photographs": photographs.fingerprint,
     }
     folder = LabelFolder(output_dir(out), spec)
     shards = [train[begin : begin + SHARD] for begin in range(0, len(train), SHARD)]
     for number, shard in enumerate(shards):
         if not folder.has(number):
-            _write_shard(folder, number, shard, trained.model, trained.values)
+            read = photographs.load(shard, spec["size"])
+            reasons = {item.name: item.reason for item in read.skipped}
+            folder.write(number, label(trained.model, read, trained.values), read.names, read.hashes, reasons)
         on_shard(len(shard))
-    return folder.finish(
-        len(shards), [photo.name for photo in held], {item.name: item.reason for item in skipped}
-    )
-
-
-def _write_shard(
-    folder: LabelFolder, number: int, shard: Sequence[Photo], model: nn.Module, values: Values
-) -> None:
-    read = load_photos(shard, folder.spec["size"])
-    reasons = {item.name: item.reason for item in read.skipped}
-    folder.write(number, label(model, read, values), read.names, read.hashes, reasons)
+    return folder.finish(len(shards), photographs.held, photographs.skipped)
 
 
 def label(model: nn.Module, photographs: PhotoSet, values: Values = "linear") -> Labels:

@@ -18,7 +18,7 @@ from rich.progress import Progress as Bar
 from sfsnet_dr.base.atomic import output_dir
 from sfsnet_dr.base.checks import BadInput, WorkFailed
 from sfsnet_dr.base.config import as_dict
-from sfsnet_dr.data.dataset import RelitFaces, load_faces
+from sfsnet_dr.data.dataset import Folders, RelitFaces, load_faces
 from sfsnet_dr.data.light_bank import LightBank, kept_bank
 from sfsnet_dr.data.mixture import MixedFaces, RealFaces
 from sfsnet_dr.data.pseudo_labels import load_pseudo_labels
@@ -66,18 +66,18 @@ class TrainResult:
 
 def train(
     recipe: Recipe,
-    data_dir: Path | str,
+    data: Folders,
     out: Path | str,
     *,
     labels: Path | str | None = None,
     resume: bool = False,
     progress: bool = True,
 ) -> TrainResult:
-    """Train a network on a folder of bundles, relit on the fly.
+    """Train a network on bundles, relit on the fly.
 
     Args:
         recipe: everything that decides the result; it is stored with the weights.
-        data_dir: folder with ``manifest.jsonl``.
+        data: folder with ``manifest.jsonl``, or several.
         out: folder for weights, history and checkpoint; made if missing.
         labels: folder of pseudo-labelled photographs, needed where the recipe's ``real.share`` is above 0.
         resume: go on from the checkpoint in ``out``. On one machine with one number of threads this gives
@@ -91,7 +91,7 @@ def train(
         KeyboardInterrupt: on SIGINT, with the checkpoint saved.
     """
     real = _real_faces(recipe, labels)
-    faces = load_faces(data_dir, recipe.data.size)
+    faces = load_faces(data, recipe.data.size, held_back=recipe.data.held_back)
     folder = output_dir(out)
     if not resume and (folder / CHECKPOINT).exists():
         raise BadInput(f"{folder}: holds a run already; go on with --resume or choose another folder")

@@ -1,0 +1,270 @@
+"""``sfsnet-dr stages``: SfS-supervision from rendered faces to measured networks, one resumable command.
+
+Source: Sengupta et al., CVPR 2018, section 3.1: SkipNet learns from rendered faces, its answers label
+photographs, and SfSNet learns from both; the networks that the paper compares with follow.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+from rich.console import Console
+
+from sfsnet_dr.base import atomic
+from sfsnet_dr.base.atomic import output_dir
+from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.base.config import as_dict, load_toml
+from sfsnet_dr.base.provenance import sha256
+from sfsnet_dr.data.dataset import load_faces
+from sfsnet_dr.data.manifest import NAME as FACES_MANIFEST
+from sfsnet_dr.data.manifest import Manifest
+from sfsnet_dr.data.photo_source import PhotoSource, photo_folder, stand_ins
+from sfsnet_dr.data.pseudo_labels import MANIFEST as LABELS_MANIFEST
+from sfsnet_dr.data.synth import synthesize
+from sfsnet_dr.fit.checkpoint import differences
+from sfsnet_dr.fit.pseudo_label import pseudo_label
+from sfsnet_dr.fit.recipe import Recipe, read_recipe
+from sfsnet_dr.fit.trainer import CHECKPOINT, WEIGHTS, train
+from sfsnet_dr.report.console import bar
+from sfsnet_dr.report.record import Record
+from sfsnet_dr.scene.spec import SceneSpec, load_scene
+
+#: Networks in the order in which they are trained; photographs are labelled by the first, before the second.
+NETWORKS: Final = ("skipnet-syn", "sfsnet", "sfsnet-syn", "skipnet-plus")
+LABELLER: Final = "skipnet-syn"
+
+#: What a finished stage was made from.
+DONE: Final = "stage.json"
+
+
+@dataclass(frozen=True)
+class StagesSpec:
+    """How much of everything a set of stages takes; paths are relative to its file.
+
+    Attributes:
+        recipes: folder with a recipe for each of ``NETWORKS``, called NAME.toml.
+        faces: bundles to render where no folder of them is given.
+        scene: their scene; left out, that of ``sfsnet-dr synth``.
+        photographs: learn from no more than these many; None takes all.
+        held_back: photographs to measure on.
+        pictures: held-back rendered faces to measure on, each image under a light of its own.
+
+    Raises:
+        BadInput: for a number below its least.
+    """
+
+    recipes: str
+    faces: int = 24
+    scene: str | None = None
+    photographs: int | None = None
+    held_back: int = 500
+    pictures: int = 200
+
+    def __post_init__(self) -> None:
+        for name, least in (("faces", 1), ("photographs", 1), ("held_back", 1), ("pictures", 2)):
+            value = getattr(self, name)
+            if value is not None and value < least:
+                raise BadInput(f"{name}: {value} found, at least {least} is needed")
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Everything that is decided before the first stage runs.
+
+    Attributes:
+        spec: how much of everything.
+        recipes: by name of the network.
+        scene: of faces that are to be rendered.
+        folder: where all stages write.
+        data: folders of bundles; empty to render them into ``folder``.
+        photographs: folder of photographs; None for rendered ones.
+    """
+
+    spec: StagesSpec
+    recipes: dict[str, Recipe]
+    scene: SceneSpec
+    folder: Path
+    data: tuple[Path, ...]
+    photographs: Path | None
+
+    @property
+    def faces(self) -> tuple[Path, ...]:
+        """Folders of bundles."""
+        return self.data or (self.folder / "faces",)
+
+    @property
+    def labels(self) -> Path:
+        """Folder of the pseudo-labels."""
+        return self.folder / "pseudo-label"
+
+    @property
+    def first(self) -> Recipe:
+        """The recipe of the network that labels; all agree with it on images."""
+        return self.recipes[LABELLER]
+
+
+def read_plan(
+    path: Path | str,
+    out: Path | str,
+    *,
+    data: Sequence[Path] = (),
+    photographs: Path | None = None,
+    rendered_photographs: bool = False,
+    environments: Path | None = None,
+) -> Plan:
+    """Read a set of stages with its recipes, and check that they go together, before anything is done.
+
+    Args:
+        path: TOML of ``StagesSpec``.
+        out: folder for everything.
+        data: folders of bundles that are there already.
+        photographs: see ``data.photo_set``.
+        rendered_photographs: let rendered faces stand in for photographs.
+        environments: folder of environment maps in place of the recipes'.
+
+    Raises:
+        BadInput: for unusable files, recipes that do not agree, or neither or both kinds of photographs.
+    """
+    path = Path(path)
+    spec = load_toml(StagesSpec, path)
+    if (photographs is None) != rendered_photographs:
+        found = "neither was given" if photographs is None else "both were given"
+        raise BadInput(
+            f"stages: photographs are needed by pseudo-label, sfsnet and skipnet-plus: {found}; give "
+            "--photographs DIR, or --rendered-photographs to let rendered faces stand in for them"
+        )
+    recipes = {name: _recipe(path.parent / spec.recipes, name, environments) for name in NETWORKS}
+    _check_alike(path.parent / spec.recipes, recipes)
+    scene = SceneSpec("faces", "anny") if spec.scene is None else load_scene(path.parent / spec.scene)
+    return Plan(spec, recipes, scene, Path(out), tuple(data), photographs)
+
+
+def run_stages(plan: Plan, *, command: str, console: Console | None = None) -> list[Record]:
+    """Run the stages that are not done yet, measure all networks, and write ``index.html``.
+
+    Everything that a stage made is kept under the plan's folder; a stage that was stopped is gone on with,
+    one that is done from the same recipe, faces and labels is not run again.
+
+    Args:
+        plan: of ``read_plan``.
+        command: for the records.
+        console: where progress is shown; standard error by default.
+
+    Raises:
+        BadInput: for unusable data, or a folder in which a stage was done from something else.
+        WorkFailed: if training failed or was told to stop; the same call goes on.
+    """
+    from sfsnet_dr.study.stages_page import finish
+
+    begin = time.perf_counter()
+    screen = console or Console(stderr=True)
+    folder = output_dir(plan.folder)
+    if plan.photographs is not None:  # unusable ones are told before anything is rendered
+        photo_folder(plan.photographs, held_back=plan.spec.held_back, most=plan.spec.photographs)
+    steps = ["faces", LABELLER, "pseudo-label", *NETWORKS[1:], "measure"]
+
+    def rule(name: str, state: str) -> None:
+        screen.rule(f"{steps.index(name) + 1}/{len(steps)}  {name}: {state}", align="left")
+
+    _render(plan, rule)
+    source: PhotoSource | None = None
+    for name in NETWORKS:
+        if name == NETWORKS[1]:
+            source = photographs_of(plan)
+            _label(plan, source, rule)
+        _train(plan, name, folder / name, rule)
+    assert source is not None
+    rule("measure", "held-back faces and photographs")
+    return finish(plan, source, command, begin)
+
+
+def photographs_of(plan: Plan) -> PhotoSource:
+    """The plan's photographs, or the rendered faces that stand in for them."""
+    spec, data = plan.spec, plan.first.data
+    if plan.photographs is not None:
+        return photo_folder(plan.photographs, held_back=spec.held_back, most=spec.photographs)
+    train_faces = load_faces(plan.faces, data.size, held_back=data.held_back)
+    held = load_faces(plan.faces, data.size, held_back=data.held_back, held=True)
+    most = spec.photographs or 4 * len(train_faces)
+    return stand_ins(train_faces, held, data, held_back=spec.held_back, most=most)
+
+
+def _recipe(folder: Path, name: str, environments: Path | None) -> Recipe:
+    recipe = read_recipe(folder / f"{name}.toml")
+    if environments is None:
+        return recipe
+    light = replace(recipe.data.light, environments=str(environments))
+    return replace(recipe, data=replace(recipe.data, light=light))
+
+
+def _check_alike(folder: Path, recipes: dict[str, Recipe]) -> None:
+    first = recipes[LABELLER]
+    for name, recipe in recipes.items():
+        pairs = {
+            "data.size": (recipe.data.size, first.data.size),
+            "data.held_back": (recipe.data.held_back, first.data.held_back),
+            "real.values": (recipe.real.values, first.real.values),
+        }
+        for key, (found, wanted) in pairs.items():
+            if found != wanted:
+                raise BadInput(
+                    f"{folder / name}.toml: {key} = {found!r} found, {wanted!r} as in {LABELLER}.toml needed"
+                )
+    if first.data.held_back < 1:
+        raise BadInput(f"{folder / LABELLER}.toml: data.held_back = 0 found, faces to measure on are needed")
+    if first.real.share:
+        raise BadInput(f"{folder / LABELLER}.toml: real.share above 0 found; it labels the photographs")
+
+
+def _render(plan: Plan, rule: Callable[[str, str], None]) -> None:
+    if plan.data:
+        rule("faces", "given")
+        return
+    [folder] = plan.faces
+    there = len(Manifest(folder).finished_seeds()) if (folder / FACES_MANIFEST).exists() else 0
+    count = plan.spec.faces
+    rule("faces", "rendered before" if there >= count else f"rendering {count - there}")
+    if there < count:
+        with bar("rendering faces", count, there) as advance:
+            synthesize(folder, plan.scene, count, resume=folder.exists(), on_face=lambda _: advance())
+
+
+def _label(plan: Plan, source: PhotoSource, rule: Callable[[str, str], None]) -> None:
+    done = (plan.labels / LABELS_MANIFEST).is_file()
+    rule("pseudo-label", "done before" if done else f"{len(source.train)} photographs by {LABELLER}")
+    with bar("labelling photographs", len(source.train)) as advance:
+
+        def on_shard(count: int) -> None:
+            for _ in range(count):
+                advance()
+
+        pseudo_label(source, plan.folder / LABELLER / WEIGHTS, plan.labels, on_shard=on_shard)
+
+
+def _train(plan: Plan, name: str, folder: Path, rule: Callable[[str, str], None]) -> None:
+    """Train a network unless that was done, and note what from."""
+    recipe = plan.recipes[name]
+    labels = plan.labels if recipe.real.share else None
+    wanted: dict[str, Any] = {
+        "recipe": as_dict(recipe),
+        "faces": [sha256(part / FACES_MANIFEST) for part in plan.faces],
+        "labels": None if labels is None else sha256(labels / LABELS_MANIFEST),
+    }
+    note = folder / DONE
+    if note.is_file() and (folder / WEIGHTS).is_file():
+        for where, found, asked in differences(json.loads(note.read_text(encoding="utf-8")), wanted):
+            raise BadInput(
+                f"{note}: {where} = {found!r} found, {asked!r} asked for; choose another --out, or remove "
+                f"{folder} to train it anew"
+            )
+        rule(name, "done before")
+        return
+    resume = (folder / CHECKPOINT).is_file()
+    rule(name, "going on" if resume else f"{recipe.steps} steps")
+    train(recipe, plan.faces, folder, labels=labels, resume=resume)
+    atomic.write_text(note, json.dumps(wanted, indent=1, sort_keys=True) + "\n")
