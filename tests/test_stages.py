@@ -14,6 +14,7 @@ from spheres import write_spheres
 from test_photo_set import write_photos
 from torch import Tensor
 
+from sfsnet_dr.apply.display import png_bytes
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.data.augment import Augmentation
 from sfsnet_dr.data.dataset import load_faces
@@ -131,6 +132,9 @@ def test_photographs_are_measured_under_their_own_name(
     data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     counted(monkeypatch)
+    dot = png_bytes(np.zeros((1, 1, 3), np.uint8))
+    for drawing in ("sheet", "loss_curve"):  # the test above draws them
+        monkeypatch.setattr(f"sfsnet_dr.study.stages_page.{drawing}", lambda *_, **__: dot)
     photographs = write_photos(tmp_path / "photographs", 6)
     plan = read_plan(write_set(tmp_path / "set"), tmp_path / "out", data=[data], photographs=photographs)
     what = {record.what: record.value for record in run_stages(plan, command="", console=quiet())}
