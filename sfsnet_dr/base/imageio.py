@@ -76,6 +76,24 @@ def read_image(path: Path | str, channels: int | None = None) -> Image:
     return Image(np.ascontiguousarray(upright), _metadata(spec), was_srgb)
 
 
+def read_samples(path: Path | str) -> tuple[NDArray[np.float32], int]:
+    """A file's values as they stand in it, for cameras whose 8-bit values are linear light already.
+
+    Returns:
+        (H, W, C) with C = 1 or 3, integers as shares of the largest one; and the bits of a sample.
+
+    Raises:
+        BadInput: as ``read_image``.
+    """
+    import OpenImageIO as oiio
+
+    path = Path(path)
+    pixels, spec = _decode(path, oiio.ImageSpec())
+    if spec.nchannels not in (1, 3):
+        raise BadInput(f"{path}: {spec.nchannels} channels found, 1 (grey) or 3 (RGB) allowed")
+    return pixels, 8 * int(spec.format.basesize())
+
+
 def write_png(
     path: Path | str, pixels: ArrayLike, metadata: Mapping[str, str] | None = None, *, encoded: bool = False
 ) -> None:

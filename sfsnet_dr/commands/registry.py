@@ -10,6 +10,7 @@ from sfsnet_dr.commands.faces import Relight, Show, Synth
 from sfsnet_dr.commands.lights import WorstLight
 from sfsnet_dr.commands.network import Decompose, Train
 from sfsnet_dr.commands.photographs import PseudoLabel
+from sfsnet_dr.commands.real_faces import DataCheck, PhotometricStereo
 from sfsnet_dr.commands.regression import Regress
 from sfsnet_dr.commands.result import Command
 from sfsnet_dr.commands.stability import Stability
@@ -25,7 +26,12 @@ COMMANDS: Final[dict[str, tuple[type[Command], str]]] = {
     "relight": (Relight, "Put one rendered face under another light"),
     "train": (Train, "Train a network by a recipe"),
     "pseudo-label": (PseudoLabel, "Label photographs with a network's answers"),
+<<<<<<< HEAD
     "stages": (Stages, "Run every stage of training and measure the networks"),
+=======
+    "data check": (DataCheck, "Count what a folder of a face database holds"),
+    "photometric-stereo": (PhotometricStereo, "Find normals from photographs under known lights"),
+>>>>>>> 89dce20 (Read face databases, and make ground truth of faces under known lights by robust photometric stereo)
     "decompose": (Decompose, "Take photographs of faces apart"),
     "validate": (Validate, "Measure the SH renderer against the path tracer"),
     "worst-light": (WorstLight, "Find the light under which the SH renderer is most wrong"),

@@ -201,6 +201,15 @@ def _landmarks(folder: Path) -> dict[str, Array]:
     path = next((choice for choice in choices if choice.is_file()), None)
     if path is None:
         raise BadInput(f"{folder}: no landmarks found; {choices[0]} or {choices[1]} is needed")
+    return read_landmarks(path)
+
+
+def read_landmarks(path: Path) -> dict[str, Array]:
+    """Landmarks (68, 2) by file name of an ``.npz`` with ``files`` (N names) and ``points`` (N, 68, 2).
+
+    Raises:
+        BadInput: if it is missing, damaged or holds something else.
+    """
     try:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             files, points = file["files"], file["points"].astype(np.float64)

@@ -45,7 +45,13 @@ def to_canonical(image: NDArray[np.floating], eyes: Eyes) -> NDArray[np.float32]
     Raises:
         BadInput: for another shape, or eyes outside the picture, out of order or less than 4 pixels apart.
     """
-    sizes = check_shape("image", image, "H W 3")
+    check_shape("image", image, "H W 3")
+    return resampled(image, eyes)
+
+
+def resampled(image: NDArray[np.floating], eyes: Eyes) -> NDArray[np.float32]:
+    """``to_canonical`` for any number of channels: (H, W, C) to (128, 128, C)."""
+    sizes = check_shape("image", image, "H W C")
     _check_eyes(eyes, sizes["W"], sizes["H"])
     return _resample(np.asarray(image, np.float32), eyes, "nearest")
 

@@ -1,0 +1,99 @@
+"""Commands about databases of real faces and their ground truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from sfsnet_dr.commands.result import Json, Out, Result, command_line, of_records
+
+if TYPE_CHECKING:
+    from sfsnet_dr.report.record import Record
+
+Database = Literal["yale-b", "photoface", "multipie", "celeba", "folder"]
+DatabaseFolder = Positional[
+    Annotated[Path, arg(metavar="DIR", help="Its folder; the head of data/NAME.py says what is in it.")]
+]
+
+#: Lines of skipped files that are shown; all are counted.
+_SHOWN = 20
+
+
+@dataclass(frozen=True)
+class DataCheck:
+    """See whether a folder holds a face database as its reader expects it, and count what is in it.
+
+    Files that cannot be used are named with the reason. Of the photographs --decode are read and brought to
+    the canonical frame, spread evenly over all.
+
+    Example: sfsnet-dr data check yale-b CroppedYale
+    """
+
+    database: Positional[Annotated[Database, arg(metavar="NAME", help="Which database it is.")]]
+    folder: DatabaseFolder
+    decode: Annotated[int, arg(help="Photographs to decode; 0 for none.")] = 200
+    as_json: Json = False
+
+    def run(self) -> Result:
+        from sfsnet_dr.data.databases import check_database
+        from sfsnet_dr.report.console import bar
+        from sfsnet_dr.report.record import dotted, measured
+
+        with bar("reading photographs", self.decode) as advance:
+            found = check_database(self.database, self.folder, self.decode, advance)
+        records = [
+            measured(f"data.{dotted(self.database)}.{name}", count, "1", command=command_line())
+            for name, count in found.counts.items()
+        ]
+        lines = [f"skipped: {item.name}: {item.reason}" for item in found.skipped[:_SHOWN]]
+        lines += [f"fewer than four usable lights: {name}" for name in found.few_lights[:_SHOWN]]
+        return of_records(records, *lines)
+
+
+@dataclass(frozen=True)
+class PhotometricStereo:
+    """Find normals and albedo of faces from photographs under known lights, as labels to test or train with.
+
+    DIR is a folder of Extended Yale B or Photoface. Each capture with four lights or more is solved by a
+    robust fit a pixel; the strengths of the lamps and what oblique light has too much are estimated from all
+    of them. OUT gets surfaces.json, one .safetensors a capture (data/surface_labels.py) and sheet.png.
+
+    Example: sfsnet-dr photometric-stereo CroppedYale --out out/yale-b
+    """
+
+    folder: DatabaseFolder
+    out: Out
+    database: Annotated[Literal["yale-b", "photoface"], arg(help="Which database it is.")] = "yale-b"
+    check_faces: Annotated[
+        int, arg(help="Rendered faces with known normals to check the method on first; 2 s each.")
+    ] = 0
+    as_json: Json = False
+
+    def run(self) -> Result:
+        from sfsnet_dr.data.databases import open_database
+        from sfsnet_dr.report.console import bar
+        from sfsnet_dr.report.record import write_records
+        from sfsnet_dr.study.photometric import label_surfaces
+        from sfsnet_dr.study.photometric_records import label_records
+
+        listing = open_database(self.database, self.folder)
+        with bar("photometric stereo", len(listing.captures())) as advance:
+            found = label_surfaces(listing, self.out, on_capture=advance)
+        records = label_records(listing, found, command_line()) + self._checked()
+        write_records(self.out / "records.json", records)
+        lines = [f"skipped: {name}: {reason}" for name, reason in list(found.skipped.items())[:_SHOWN]]
+        return of_records(records, *lines, f"labels: {self.out}")
+
+    def _checked(self) -> list[Record]:
+        if not self.check_faces:
+            return []
+        from sfsnet_dr.report.console import bar
+        from sfsnet_dr.study.photometric_records import check_records
+        from sfsnet_dr.study.stereo_check import check_on_rendered_faces
+
+        with bar("checking on rendered faces", self.check_faces) as advance:
+            errors = check_on_rendered_faces(range(self.check_faces), on_face=advance)
+        return check_records(errors, command_line())

@@ -1,0 +1,210 @@
+"""Ground truth from photographs under known lights: labels, and how far two halves of the lights agree."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from sfsnet_dr.apply.display import on_white, show_linear, show_normals
+from sfsnet_dr.base.atomic import output_dir
+from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.data.listing import FacePhoto, Listing, read_face
+from sfsnet_dr.data.surface_labels import SurfaceLabels, write_index, write_surface
+from sfsnet_dr.fit.photometric_stereo import FEWEST, Surface, photometric_stereo, unit_directions
+from sfsnet_dr.fit.strobes import Shots, Strobes, estimate_strobes
+from sfsnet_dr.metrics.normals import angles_deg
+
+Array = npt.NDArray[np.float64]
+
+#: Pixels below this confidence are no ground truth and leave the mask.
+LEAST_CONFIDENCE: Final = 0.5
+#: Pixels of a capture from which the lamps' strengths are estimated.
+_SAMPLED: Final = 700
+
+
+@dataclass(frozen=True, eq=False)
+class Loaded:
+    """A capture in the canonical frame: pictures (N, S, S, C) linear, mask (S, S), and their photographs."""
+
+    name: str
+    photos: tuple[FacePhoto, ...]
+    images: Array
+    mask: Array
+
+    @property
+    def directions(self) -> Array:
+        """Toward the lights, (N, 3)."""
+        return np.array([photo.direction for photo in self.photos])
+
+    @property
+    def lights(self) -> tuple[str, ...]:
+        """Names of the lights."""
+        return tuple(photo.light for photo in self.photos)
+
+
+@dataclass(frozen=True, eq=False)
+class Labelled:
+    """What came out.
+
+    Attributes:
+        labels: of each capture.
+        halves: mean angle (degrees) between the normals of two disjoint halves of each capture's lights;
+            NaN with fewer than eight.
+        raw_halves: the same with all lamps taken to be equal.
+        kept: share of each capture's skin that is sure enough.
+        strobes: of all captures.
+        skipped: photographs and captures that are not in it, with the reason.
+    """
+
+    labels: list[SurfaceLabels]
+    halves: list[float]
+    raw_halves: list[float]
+    kept: list[float]
+    strobes: Strobes
+    skipped: dict[str, str] = field(default_factory=dict)
+
+
+def label_surfaces(
+    listing: Listing,
+    out: Path | str | None = None,
+    *,
+    halves: bool = True,
+    on_capture: Callable[[], object] = lambda: None,
+) -> Labelled:
+    """Photometric stereo of every capture with at least four known lights.
+
+    Args:
+        listing: a database whose lights are known.
+        out: folder for the labels, made if missing; None writes nothing.
+        halves: whether each capture is solved again from halves of its lights.
+        on_capture: called after each.
+
+    Raises:
+        BadInput: if no capture has four usable lights, or ``out`` cannot be written to.
+    """
+    skipped = {item.name: item.reason for item in listing.skipped}
+    captures = []
+    for name, photos in listing.captures().items():
+        try:
+            captures.append(_load(name, photos, listing.linear, skipped))
+        except BadInput as error:
+            skipped[name] = str(error)
+    if not captures:
+        first = next(iter(skipped.items()), ("it", "no lights known"))
+        raise BadInput(f"{listing.folder}: no capture with {FEWEST} usable lights; {first[0]}: {first[1]}")
+    strobes = estimate_strobes([_shots(capture) for capture in captures])
+    result = Labelled([], [], [], [], strobes, skipped)
+    folder = None if out is None else output_dir(out)
+    written = {}
+    for capture in captures:
+        gains = strobes.gains(capture.lights, capture.directions)
+        surface = photometric_stereo(capture.images, capture.directions, gains, capture.mask)
+        sure = capture.mask * (surface.confidence >= LEAST_CONFIDENCE)
+        if not (sure > 0.5).any():
+            skipped[capture.name] = "no pixel of its normals is sure enough"
+            continue
+        labels = _labels(capture, surface, sure, gains)
+        result.labels.append(labels)
+        result.kept.append(float(sure.sum() / capture.mask.sum()))
+        result.halves.append(_halves(capture, gains, sure) if halves else float("nan"))
+        result.raw_halves.append(_halves(capture, np.ones_like(gains), sure) if halves else float("nan"))
+        if folder is not None:
+            written[labels.name] = {"subject": labels.subject, "sha256": write_surface(folder, labels)}
+        on_capture()
+    if not result.labels:
+        raise BadInput(f"{listing.folder}: no capture gave normals that are sure; are its lights right?")
+    if folder is not None:
+        gain = {"oblique": strobes.oblique, "strength": dict(strobes.strength)}
+        write_index(folder, listing.database, gain, written, skipped)
+        (folder / "sheet.png").write_bytes(surface_sheet(result.labels))
+    return result
+
+
+def surface_sheet(labels: Sequence[SurfaceLabels], most: int = 12) -> bytes:
+    """Normals, albedo and confidence of some captures, as one PNG."""
+    from sfsnet_dr.apply.display import sheet
+
+    cells = []
+    for face in labels[:: max(1, len(labels) // most)][:most]:
+        mask = face.mask[0].numpy()
+        albedo = face.albedo.expand(3, -1, -1).permute(1, 2, 0).double().numpy()
+        normal = face.normal.permute(1, 2, 0).double().numpy()
+        top = float(np.quantile(albedo[mask > 0.5], 0.98))
+        sure = np.repeat(face.confidence[0].numpy()[..., None], 3, 2)
+        pictures = {
+            "normals": show_normals(normal),
+            "albedo": show_linear(0.8 * albedo / max(top, 1e-6)),
+            "confidence": show_linear(sure),
+        }
+        cells += [(f"{face.name}: {what}", on_white(picture, mask)) for what, picture in pictures.items()]
+    return sheet(cells, columns=6)
+
+
+def _load(name: str, photos: Sequence[FacePhoto], linear: bool, skipped: dict[str, str]) -> Loaded:
+    used, images, masks = [], [], []
+    for photo in photos:
+        if photo.direction is None:
+            continue
+        try:
+            face = read_face(photo, linear)
+        except BadInput as error:
+            skipped[photo.name] = str(error)
+            continue
+        used.append(photo)
+        images.append(face.image[..., :1] if face.grey else face.image)
+        masks.append(face.mask)
+    if len(used) < FEWEST:
+        raise BadInput(f"{len(used)} usable lights, at least {FEWEST} are needed")
+    if len({image.shape for image in images}) > 1:
+        raise BadInput("grey and coloured pictures are mixed")
+    unit_directions(np.array([photo.direction for photo in used]), len(used))
+    return Loaded(name, tuple(used), np.array(images, np.float64), np.min(masks, axis=0).astype(np.float64))
+
+
+def _shots(capture: Loaded) -> Shots:
+    pixels = np.flatnonzero(capture.mask > 0.5)
+    chosen = pixels[:: max(1, len(pixels) // _SAMPLED)]
+    values = capture.images.mean(-1).reshape(len(capture.photos), -1)[:, chosen].T
+    return Shots(values, capture.directions, capture.lights)
+
+
+def _halves(capture: Loaded, gains: Array, mask: Array) -> float:
+    """Mean angle between the answers of every second light, in order of azimuth, and the others."""
+    if len(capture.photos) < 2 * FEWEST:
+        return float("nan")
+    x, y, z = capture.directions.T
+    order = np.lexsort((y, np.round(np.arctan2(x, z), 6)))
+    try:
+        first, second = (
+            photometric_stereo(capture.images[half], capture.directions[half], gains[half], mask)
+            for half in (order[::2], order[1::2])
+        )
+    except BadInput:
+        return float("nan")
+    return float(angles_deg(first.normal, second.normal)[mask > 0.5].mean())
+
+
+def _labels(capture: Loaded, surface: Surface, mask: Array, gains: Array) -> SurfaceLabels:
+    def tensor(values: Array) -> torch.Tensor:
+        return torch.from_numpy(np.ascontiguousarray(values, np.float32))
+
+    return SurfaceLabels(
+        name=capture.name,
+        subject=capture.photos[0].subject,
+        lights=capture.lights,
+        files=tuple(photo.name for photo in capture.photos),
+        image=tensor(np.moveaxis(capture.images, -1, 1)),
+        normal=tensor(np.moveaxis(surface.normal, -1, 0)),
+        albedo=tensor(np.moveaxis(np.clip(surface.albedo, 0, 100), -1, 0)),
+        mask=tensor(mask[None]),
+        confidence=tensor(surface.confidence[None]),
+        residual=tensor(np.clip(surface.residual, 0, 100)[None]),
+        direction=tensor(capture.directions),
+        gain=tensor(gains),
+    )
