@@ -73,7 +73,7 @@ def check_on_rendered_faces(
     seeds: Sequence[int],
     *,
     size: int = 64,
-    samples: int = 32,
+    samples: int = 64,
     spec: SceneSpec | None = None,
     on_face: Callable[[], object] = lambda: None,
 ) -> dict[int, Array]:
@@ -82,7 +82,7 @@ def check_on_rendered_faces(
     Args:
         seeds: of the faces.
         size: width of the pictures.
-        samples: camera rays a pixel.
+        samples: camera rays a pixel, as many as there are lights or more.
         spec: of the faces; frontal ones of the default model with gloss and relief if left out.
         on_face: called after each.
 
