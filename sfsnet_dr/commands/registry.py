@@ -26,12 +26,9 @@ COMMANDS: Final[dict[str, tuple[type[Command], str]]] = {
     "relight": (Relight, "Put one rendered face under another light"),
     "train": (Train, "Train a network by a recipe"),
     "pseudo-label": (PseudoLabel, "Label photographs with a network's answers"),
-<<<<<<< HEAD
     "stages": (Stages, "Run every stage of training and measure the networks"),
-=======
     "data check": (DataCheck, "Count what a folder of a face database holds"),
     "photometric-stereo": (PhotometricStereo, "Find normals from photographs under known lights"),
->>>>>>> 89dce20 (Read face databases, and make ground truth of faces under known lights by robust photometric stereo)
     "decompose": (Decompose, "Take photographs of faces apart"),
     "validate": (Validate, "Measure the SH renderer against the path tracer"),
     "worst-light": (WorstLight, "Find the light under which the SH renderer is most wrong"),
