@@ -30,6 +30,25 @@ class SceneLights:
 
 
 @dataclass(frozen=True)
+class KnownDifference:
+    """How far a renderer may be from its truth by design; its noise comes on top.
+
+    Attributes:
+        renderer: its name.
+        cause: why, for people.
+        scenes: where; everywhere if empty.
+        relative: at most this part of a pixel.
+        edges: in pixels, how far apart it may see a contour, such as the edge of a shadow.
+    """
+
+    renderer: str
+    cause: str
+    scenes: tuple[str, ...] = ()
+    relative: float = 0.0
+    edges: float = 0.0
+
+
+@dataclass(frozen=True)
 class RegressSpec:
     """The matrix.
 
@@ -42,6 +61,7 @@ class RegressSpec:
         level: chance that a run in which nothing is wrong fails.
         reference_samples: paths a pixel of a reference.
         reference_maps: camera rays a pixel of the maps that shading models are held to.
+        known: differences that are not held against a renderer.
     """
 
     scenes: tuple[SceneLights, ...]
@@ -52,6 +72,11 @@ class RegressSpec:
     level: float = 0.01
     reference_samples: int = 4096
     reference_maps: int = 4096
+    known: tuple[KnownDifference, ...] = ()
+
+    def known_of(self, renderer: str, scene: str) -> list[KnownDifference]:
+        """What is known of a renderer on a scene."""
+        return [k for k in self.known if k.renderer == renderer and (not k.scenes or scene in k.scenes)]
 
     def scene(self, name: str) -> SceneSpec:
         """A scene at the size and with the sampling of the matrix."""
@@ -78,7 +103,22 @@ def read_spec(path: Path | str) -> RegressSpec:
     for key, (value, low, high) in limits.items():
         if not low <= value <= high:
             raise BadInput(f"{path}: {key}: {value} found, {low} to {high} allowed")
+    for known in spec.known:
+        _check_known(path, spec, known)
     return spec
+
+
+def _check_known(path: Path | str, spec: RegressSpec, known: KnownDifference) -> None:
+    where = f"{path}: known: {known.renderer}"
+    if not known.cause.strip():
+        raise BadInput(f"{where}: no cause found; say why it may differ")
+    for key, value, high in (("relative", known.relative, 0.5), ("edges", known.edges, 1.0)):
+        if not 0 <= value <= high:
+            raise BadInput(f"{where}: {key}: {value} found, 0 to {high} allowed")
+    scenes = [pair.scene for pair in spec.scenes]
+    for scene in known.scenes:
+        if scene not in scenes:
+            raise BadInput(f"{where}: scene {scene!r}: not in the matrix; {nearest(scene, scenes)}")
 
 
 def chosen(spec: RegressSpec, scenes: str | None, lights: str | None, renderers: str | None) -> RegressSpec:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.render.agreement import Estimate, exact
@@ -17,6 +19,7 @@ from sfsnet_dr.scene.lights import SceneLight
 from sfsnet_dr.scene.subject import Subject
 from sfsnet_dr.study.regress.models import Model, model_of
 from sfsnet_dr.study.regress.references import Maps, References
+from sfsnet_dr.study.regress.spec import KnownDifference
 
 Array = npt.NDArray[np.float64]
 
@@ -92,6 +95,18 @@ def truth_of(
     return Truth("path tracing", estimate, _rounding(estimate), words, *shown)
 
 
+def forgiving(truth: Truth, known: Sequence[KnownDifference]) -> Truth:
+    """A truth that allows for what is known of a renderer, too."""
+    if not known:
+        return truth
+    mean = truth.estimate.mean
+    around = (3, 3, 1)
+    contrast = maximum_filter(mean, around) - minimum_filter(mean, around)
+    allowance = truth.allowance + sum(k.relative * np.abs(mean) + k.edges * contrast for k in known)
+    words = "; ".join([truth.words, *(f"allowed: {_known_words(k)}" for k in known)])
+    return replace(truth, allowance=allowance, words=words)
+
+
 def shade_maps(maps: Maps, light: SceneLight, order: int | None) -> Estimate:
     """The NumPy form of a shading model on stored maps, with the noise of the maps carried through."""
     middle = shaded(maps.normal, light, order)
@@ -130,6 +145,15 @@ def _order_words(capabilities: Capabilities) -> str:
 
 def _formula_words(capabilities: Capabilities) -> str:
     return f"formula, no noise: {_order_words(capabilities)} Lambertian shading of the ideal surface"
+
+
+def _known_words(known: KnownDifference) -> str:
+    sizes = []
+    if known.relative:
+        sizes.append(f"{100 * known.relative:g} %")
+    if known.edges:
+        sizes.append(f"contours {known.edges:g} pixels apart")
+    return f"{' and '.join(sizes)} ({known.cause})"
 
 
 def _model_words(model: Model) -> str:
