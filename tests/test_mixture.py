@@ -161,7 +161,7 @@ def test_a_mixed_run_is_resumed_to_the_bit(
                 raise RuntimeError("power cut")
             return training_step(*arguments)
 
-        patch.setattr("sfsnet_dr.fit.trainer.training_step", step)
+        patch.setattr("sfsnet_dr.fit.run.training_step", step)
         with pytest.raises(RuntimeError):
             train(RECIPE, spheres, tmp_path / "cut", labels=labels, progress=False)
     cut = train(RECIPE, spheres, tmp_path / "cut", labels=labels, resume=True, progress=False)

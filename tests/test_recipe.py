@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import torch
 
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.fit.recipe import ComputeRecipe, OptimiserRecipe, Recipe, read_recipe
@@ -86,5 +87,6 @@ def test_the_learning_rate_warms_up_and_falls_as_a_cosine() -> None:
 
 
 def test_precision_is_as_asked() -> None:
-    assert ComputeRecipe(precision="bfloat16").bfloat16
-    assert not ComputeRecipe(precision="float32").bfloat16
+    cpu = torch.device("cpu")
+    assert ComputeRecipe(precision="bfloat16").bfloat16(cpu)
+    assert not ComputeRecipe(precision="float32").bfloat16(cpu)

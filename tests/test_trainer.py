@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import signal
+import subprocess
+import sys
+import types
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
+from safetensors.torch import save_file
 from spheres import write_spheres
 
-from sfsnet_dr.base.checks import BadInput, WorkFailed
+from sfsnet_dr.base.checks import BadInput, NotInstalled, WorkFailed
+from sfsnet_dr.base.imageio import read_image
 from sfsnet_dr.data.augment import Augmentation
+from sfsnet_dr.fit.checkpoint import previous
 from sfsnet_dr.fit.history import History, read_history
 from sfsnet_dr.fit.recipe import ComputeRecipe, ModelRecipe, Recipe
+from sfsnet_dr.fit.run import CHECKPOINT, HISTORY, WEIGHTS
 from sfsnet_dr.fit.step import NotFinite, training_step
-from sfsnet_dr.fit.trainer import CHECKPOINT, HISTORY, WEIGHTS, train
+from sfsnet_dr.fit.trainer import train
 from sfsnet_dr.model.weights import load_weights, read_metadata
 from sfsnet_dr.scene.light_spec import LightSpec
 
@@ -56,7 +66,7 @@ def before_step(monkeypatch: pytest.MonkeyPatch, number: int, act: Callable[[], 
             act()
         return training_step(*arguments)
 
-    monkeypatch.setattr("sfsnet_dr.fit.trainer.training_step", patched)
+    monkeypatch.setattr("sfsnet_dr.fit.run.training_step", patched)
 
 
 def fail(error: BaseException) -> Callable[[], object]:
@@ -180,9 +190,7 @@ def test_a_step_that_is_not_finite_is_skipped_and_told(
 
 
 def test_too_many_such_steps_end_the_run(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        "sfsnet_dr.fit.trainer.training_step", lambda *_: fail(NotFinite("total not finite"))()
-    )
+    monkeypatch.setattr("sfsnet_dr.fit.run.training_step", lambda *_: fail(NotFinite("total not finite"))())
     with pytest.raises(WorkFailed, match=r"3 steps were not finite \(2 allowed\); the last, 2, had total"):
         train(replace(RECIPE, most_skipped=2), data, tmp_path, progress=False)
 
@@ -194,6 +202,112 @@ def test_a_failure_leaves_no_bar_in_a_log(
     with pytest.raises(RuntimeError):
         train(RECIPE, data, tmp_path, progress=True)
     assert capfd.readouterr().err == ""
+
+
+def test_a_damaged_checkpoint_is_replaced_by_the_one_before(
+    data: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    train(RECIPE, data, tmp_path, progress=False)
+    last = tmp_path / CHECKPOINT
+    assert previous(last).is_file()
+    last.write_bytes(last.read_bytes()[:1000])
+    train(RECIPE, data, tmp_path, resume=True, progress=False)  # from step 8 again
+    assert same_run(whole, tmp_path)
+    assert "going on from checkpoint.previous.safetensors" in " ".join(capsys.readouterr().err.split())
+    for path in (last, previous(last)):
+        path.write_bytes(b"nothing")
+    with pytest.raises(BadInput, match="not a checkpoint"):
+        train(RECIPE, data, tmp_path, resume=True, progress=False)
+
+
+def test_a_full_disk_ends_the_run_with_the_last_checkpoint_whole(
+    data: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    saved = iter(range(100))
+
+    def full(*arguments: Any) -> None:
+        if next(saved) == 1:
+            arguments[1].write_bytes(b"half of i")
+            raise OSError(errno.ENOSPC, "No space left on device")
+        save_file(*arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("sfsnet_dr.fit.checkpoint.save_file", full)
+        with pytest.raises(WorkFailed, match=r"No space left on device.*make room and go on with --resume"):
+            train(RECIPE, data, tmp_path, progress=False)
+    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".partial")]
+    train(RECIPE, data, tmp_path, resume=True, progress=False)
+    assert same_run(whole, tmp_path)
+
+
+KILLED = """
+import os, signal, sys
+sys.path.insert(0, sys.argv[1])
+from test_trainer import RECIPE
+import sfsnet_dr.fit.run as run
+step, calls = run.training_step, iter(range(100))
+def killing(*arguments):
+    if next(calls) == 6:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return step(*arguments)
+run.training_step = killing
+from sfsnet_dr.fit.trainer import train
+train(RECIPE, sys.argv[2], sys.argv[3], progress=False)
+"""
+
+
+@pytest.mark.slow
+def test_a_killed_run_ends_as_one_that_was_not(data: Path, whole: Path, tmp_path: Path) -> None:
+    place = os.environ | {"OMP_NUM_THREADS": str(torch.get_num_threads())}
+    command = [sys.executable, "-c", KILLED, str(Path(__file__).parent), str(data), str(tmp_path)]
+    assert subprocess.run(command, env=place, check=False).returncode == -signal.SIGKILL
+    assert len(losses(tmp_path)) == 6
+    train(RECIPE, data, tmp_path, resume=True, progress=False)
+    assert same_run(whole, tmp_path)
+
+
+def test_pictures_are_drawn_every_so_often_and_change_nothing(
+    data: Path, whole: Path, tmp_path: Path
+) -> None:
+    train(replace(RECIPE, pictures_every=4), data, tmp_path, progress=False)
+    assert sorted(path.name for path in tmp_path.glob("*.png")) == [
+        "pictures-000004.png",
+        "pictures-000008.png",
+    ]
+    assert read_image(tmp_path / "pictures-000008.png").pixels.shape == (2 * 16, 9 * 16, 3)
+    drawn, plain = (load_weights(folder / WEIGHTS).state_dict() for folder in (tmp_path, whole))
+    assert all(torch.equal(drawn[name], plain[name]) for name in plain)
+
+
+def test_tensorboard_is_an_extra(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name, *_: None)
+    with pytest.raises(NotInstalled, match=r"pip install 'sfsnet_dr\[tensorboard\]'"):
+        train(RECIPE, data, tmp_path, progress=False, tensorboard=True)
+
+
+def test_tensorboard_gets_the_numbers_of_every_step(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written: list[tuple[str, int]] = []
+
+    class Writer:
+        def __init__(self, folder: str, purge_step: int) -> None:
+            assert (folder, purge_step) == (str(tmp_path / "tensorboard"), 0)
+
+        def add_scalar(self, name: str, value: float, step: int) -> None:
+            written.append((name, step))
+
+        def close(self) -> None:
+            written.append(("closed", 0))
+
+    fake = types.ModuleType("torch.utils.tensorboard.writer")
+    fake.SummaryWriter = Writer  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", types.ModuleType("torch.utils.tensorboard"))
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard.writer", fake)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name, *_: object())
+    train(replace(RECIPE, steps=2), data, tmp_path, progress=False, tensorboard=True)
+    assert {("total", 0), ("total", 1), ("rate", 1), ("images_per_second", 0)} <= set(written)
+    assert written[-1] == ("closed", 0)
 
 
 def test_a_torn_history_line_is_dropped(tmp_path: Path) -> None:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from tyro.conf import arg
+from tyro.conf import Positional, arg
 
 from sfsnet_dr.commands.result import Json, Result, command_line
 
@@ -66,6 +66,29 @@ def _make_folder(records: Path | None) -> None:
 
     if records is not None:
         output_dir(records.parent)
+
+
+@dataclass(frozen=True)
+class BenchTrain:
+    """Time the steps of a recipe against plain float32 steps, and what share data and loss have in them.
+
+    Example: sfsnet-dr bench train training/recipes/smoke.toml --data out/faces --batch-size 8
+    """
+
+    recipe: Positional[Annotated[Path, arg(metavar="RECIPE", help="Recipe (TOML).")]]
+    data: Annotated[Path, arg(metavar="DIR", help="Folder that `sfsnet-dr synth` wrote; few faces do.")]
+    batch_size: Annotated[int | None, arg(help="Images a step, in place of the recipe's.")] = None
+    rounds: Annotated[int, arg(help="Turns that each contender has.")] = 5
+    records: RecordsFile = None
+    as_json: Json = False
+
+    def run(self) -> Result:
+        from sfsnet_dr.fit.recipe import read_recipe
+        from sfsnet_dr.study.bench.train import bench_train
+
+        recipe = read_recipe(self.recipe)
+        recipe = replace(recipe, batch_size=self.batch_size or recipe.batch_size)
+        return _result(*bench_train(recipe, self.data, command_line(), rounds=self.rounds), self.records)
 
 
 def _result(records: list[Record], lines: list[str], path: Path | None) -> Result:

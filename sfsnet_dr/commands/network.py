@@ -17,7 +17,8 @@ class Train:
     """Train a network by a recipe, on faces relit on the fly.
 
     Without --data the faces are rendered first, into OUT/faces. A stopped run goes on with --resume and ends
-    with the same weights as one that was never stopped.
+    with the same weights as one that was never stopped. Several processes or GPUs share every batch where
+    torchrun starts it: torchrun --nproc-per-node 2 --no-python sfsnet-dr train RECIPE --data DIR --out OUT
 
     Example: sfsnet-dr train training/recipes/smoke.toml --out out/smoke
     """
@@ -41,6 +42,7 @@ class Train:
         Path | None, arg(metavar="DIR", help="Photographs that `sfsnet-dr pseudo-label` labelled.")
     ] = None
     resume: Annotated[bool, arg(help="Go on from the last checkpoint in --out.")] = False
+    tensorboard: Annotated[bool, arg(help="Write for TensorBoard too, into OUT/tensorboard.")] = False
     as_json: Json = False
 
     def run(self) -> Result:
@@ -56,7 +58,9 @@ class Train:
         if not self.data:
             wanted = Synth(data[0], self.faces, scene=self.scene, resume=True)
             render_faces(wanted.spec(), wanted)
-        result = train(recipe, data, self.out, labels=self.labels, resume=self.resume, progress=True)
+        result = train(
+            recipe, data, self.out, labels=self.labels, resume=self.resume, tensorboard=self.tensorboard
+        )
         records = [
             measured(f"train.loss.{dotted(term)}", value, "1", command=command_line(), seed=recipe.seed)
             for term, value in result.final.items()

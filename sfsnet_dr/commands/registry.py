@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from sfsnet_dr.commands.bench import BenchRelight, BenchSynth
-from sfsnet_dr.commands.bench_kernels import BenchLoss, BenchRender
+from sfsnet_dr.commands.bench_kernels import BenchLoss, BenchRender, BenchTrain
 from sfsnet_dr.commands.faces import Relight, Show, Synth
 from sfsnet_dr.commands.lights import WorstLight
 from sfsnet_dr.commands.network import Decompose, Train
@@ -38,5 +38,6 @@ COMMANDS: Final[dict[str, tuple[type[Command], str]]] = {
     "regress": (Regress, "Hold every renderer to what it should show"),
     "bench loss": (BenchLoss, "Time the reconstruction loss against torch and the memory"),
     "bench render": (BenchRender, "Time the SH renderer against torch and the memory"),
+    "bench train": (BenchTrain, "Time the steps of training and what they are made of"),
     "demo": (Demo, "Run the whole pipeline and write a report"),
 }

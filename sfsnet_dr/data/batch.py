@@ -7,8 +7,19 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from sfsnet_dr.base.checks import check_shape
+from sfsnet_dr.base.checks import BadInput, check_shape
 from sfsnet_dr.base.conventions import LIGHT_SIZE
+
+
+def dealt(count: int, rank: int, size: int) -> slice:
+    """What process ``rank`` of ``size`` has of ``count`` images.
+
+    Raises:
+        BadInput: if they cannot be dealt out evenly.
+    """
+    if count % size:
+        raise BadInput(f"batch: {count} images of a kind found, a multiple of the {size} processes is needed")
+    return slice(rank * (count // size), (rank + 1) * (count // size))
 
 
 class FaceBatch(NamedTuple):

@@ -18,7 +18,7 @@ from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.base.color import LUMINANCE
 from sfsnet_dr.base.conventions import LIGHT_ORDER
 from sfsnet_dr.data.augment import Augmentation, backgrounds
-from sfsnet_dr.data.batch import FaceBatch
+from sfsnet_dr.data.batch import FaceBatch, dealt
 from sfsnet_dr.data.bundle import Bundle, read_bundle
 from sfsnet_dr.data.flip import flip_map, flip_normal, x_parity
 from sfsnet_dr.data.light_bank import LightBank, draw_bank
@@ -205,27 +205,31 @@ class RelitFaces:
         """Faces of a batch."""
         return [self.faces.names[index] for index in self.indices(step)]
 
-    def batch(self, step: int) -> FaceBatch:
-        """Batch number ``step``, relit and photographed, on the faces' device."""
+    def batch(self, step: int, rank: int = 0, size: int = 1) -> FaceBatch:
+        """Batch number ``step``, or part ``rank`` of ``size``, relit and photographed on the device."""
+        part = dealt(self.batch_size, rank, size)
         rng = np.random.default_rng([self.seed, 1, step])
         faces, chosen = self.faces, self.indices(step)
         flips = rng.uniform(size=len(chosen)) < self.augmentation.flip
         directions = np.where(flips[:, None, None], _MIRROR, 1.0) * faces.directions[chosen]
         lighting = light_faces(rng, self.bank, directions, self.augmentation.light)
         effects = [sample_effects(rng, self.augmentation.photo) for _ in chosen]
-        rows = torch.tensor(chosen, device=faces.normal.device)
+        place = np.maximum(np.einsum("k,bkc->bc", sh_basis(_BEHIND, MAP_ORDER), lighting.radiance), 0.0)
+        pixels = (faces.normal.shape[-2], faces.normal.shape[-1])
+        behind = backgrounds(rng, lighting.level, place, pixels, faces.normal.device)[part]
+        # All is drawn for the whole batch, so that an image does not depend on who makes it.
+        flips, lighting, effects = flips[part], lighting.part(part), effects[part]
+        rows = torch.tensor(chosen[part], device=faces.normal.device)
         normal, albedo, mask, coverage = (
-            part.index_select(0, rows).float()
-            for part in (faces.normal, faces.albedo, faces.mask, faces.coverage)
+            planes.index_select(0, rows).float()
+            for planes in (faces.normal, faces.albedo, faces.mask, faces.coverage)
         )
         image = self._relit(rows, lighting, flips)
         mirrored = torch.from_numpy(flips).to(image.device)
         image, albedo, mask, coverage = (
-            _reflected(part, mirrored, flip_map) for part in (image, albedo, mask, coverage)
+            _reflected(planes, mirrored, flip_map) for planes in (image, albedo, mask, coverage)
         )
         normal = _renormalised(_reflected(normal, mirrored, flip_normal))
-        place = np.maximum(np.einsum("k,bkc->bc", sh_basis(_BEHIND, MAP_ORDER), lighting.radiance), 0.0)
-        behind = backgrounds(rng, lighting.level, place, (image.shape[-2], image.shape[-1]), image.device)
         image = photograph(image, coverage, behind, effects)
         albedo, light = _as_seen(albedo, lighting.label, effects)
         return FaceBatch(image, normal, albedo, light.to(image.device), mask)

@@ -41,6 +41,10 @@ class Lighting:
     label: Array
     level: Array
 
+    def part(self, which: slice) -> Lighting:
+        """The lights of some of the faces."""
+        return Lighting(self.radiance[which], self.irradiance[which], self.label[which], self.level[which])
+
 
 def light_faces(rng: np.random.Generator, bank: LightBank, directions: Array, spec: LightSpec) -> Lighting:
     """Draw a light for each face.

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from sfsnet_dr.base.checks import BadInput
-from sfsnet_dr.data.batch import FaceBatch
+from sfsnet_dr.data.batch import FaceBatch, dealt
 from sfsnet_dr.data.dataset import RelitFaces
 from sfsnet_dr.data.flip import flip_light, flip_map, flip_normal
 from sfsnet_dr.data.pseudo_labels import Labels, PseudoFaces, Values, as_network_input, decoded
@@ -106,21 +106,22 @@ class RealFaces:
         """Photographs of a batch."""
         return [self.faces.names[index] for index in self.indices(step)]
 
-    def batch(self, step: int) -> tuple[FaceBatch, Tensor]:
-        """Batch number ``step`` and the confidence of its labels (B, 1, H, W)."""
+    def batch(self, step: int, rank: int = 0, size: int = 1) -> tuple[FaceBatch, Tensor]:
+        """Batch number ``step``, or part ``rank`` of ``size``, and its labels' confidence (B, 1, H, W)."""
+        part = dealt(self.batch_size, rank, size)
         rng = np.random.default_rng([self.seed, 11, step])
-        device = self.faces.labels.image.device
-        rows = torch.tensor(self.indices(step), device=device)
-        picked = Labels(*(part.index_select(0, rows) for part in self.faces.labels))
+        device, count = self.faces.labels.image.device, self.batch_size
+        rows = torch.tensor(self.indices(step)[part], device=device)
+        picked = Labels(*(planes.index_select(0, rows) for planes in self.faces.labels))
         shown = decoded(picked)
-        flips = torch.from_numpy(rng.uniform(size=len(rows)) < self.options.flip).to(device)
-        stops = torch.from_numpy(rng.uniform(-self.options.darker, 0, len(rows))).float().to(device)
+        flips = torch.from_numpy(rng.uniform(size=count) < self.options.flip)[part].to(device)
+        stops = torch.from_numpy(rng.uniform(-self.options.darker, 0, count)).float()[part].to(device)
         gain = 2.0**stops
         image = as_network_input(picked.image, self.options.values) * gain[:, None, None, None]
         maps = (image, shown.albedo, shown.mask, shown.confidence)
-        planes = flips[:, None, None, None]
-        image, albedo, mask, confidence = (torch.where(planes, flip_map(part), part) for part in maps)
-        normal = torch.where(planes, flip_normal(shown.normal), shown.normal)
+        turned = flips[:, None, None, None]
+        image, albedo, mask, confidence = (torch.where(turned, flip_map(planes), planes) for planes in maps)
+        normal = torch.where(turned, flip_normal(shown.normal), shown.normal)
         light = torch.where(flips[:, None], flip_light(shown.light), shown.light) * gain[:, None]
         return FaceBatch(image, normal, albedo, light, mask), confidence
 
@@ -147,9 +148,9 @@ class MixedFaces:
         both = self.labelled.fingerprint + self.real.faces.fingerprint
         return hashlib.sha256(both.encode()).hexdigest()
 
-    def batch(self, step: int) -> MixedBatch:
-        """Batch number ``step``."""
-        return MixedBatch(self.labelled.batch(step), *self.real.batch(step))
+    def batch(self, step: int, rank: int = 0, size: int = 1) -> MixedBatch:
+        """Batch number ``step``, or part ``rank`` of ``size`` of both kinds."""
+        return MixedBatch(self.labelled.batch(step, rank, size), *self.real.batch(step, rank, size))
 
     def names(self, step: int) -> list[str]:
         """The faces and photographs of a batch."""

@@ -156,13 +156,14 @@ def _noisy(signal: Tensor, effects: Sequence[PhotoEffects]) -> Tensor:
 
 
 def _blurred(images: Tensor, deviations: Sequence[float]) -> Tensor:
-    """Gaussian blur, each image by its own standard deviation, cut at 3 of the widest; the border repeats."""
+    """Gaussian blur, each image by its own standard deviation, cut at 3 of it; the border repeats."""
     chosen = _chosen(images, [deviation >= _SHARP for deviation in deviations])
     if not len(chosen):
         return images
     widths = np.array([deviation for deviation in deviations if deviation >= _SHARP])[:, None]
     reach = int(np.ceil(3 * widths.max()))
-    kernels = np.exp(-0.5 * (np.arange(-reach, reach + 1) / widths) ** 2)
+    places = np.arange(-reach, reach + 1)
+    kernels = np.where(abs(places) <= np.ceil(3 * widths), np.exp(-0.5 * (places / widths) ** 2), 0.0)
     weights = images.new_tensor(kernels / kernels.sum(axis=1, keepdims=True))
     soft = _smoothed(_smoothed(images[chosen], weights, -1), weights, -2)
     return images.index_copy(0, chosen, soft)

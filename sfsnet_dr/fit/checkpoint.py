@@ -8,6 +8,8 @@ generator's state is in it: batches and learning rates are functions of the step
 from __future__ import annotations
 
 import json
+import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -39,7 +41,7 @@ class Progress:
 def save_checkpoint(
     path: Path, model: nn.Module, adam: torch.optim.Adam, progress: Progress, recipe: Recipe, data: str
 ) -> None:
-    """Write the state, whole or not at all."""
+    """Write the state, whole or not at all; what the file was stays beside it, see ``previous``."""
     tensors = {f"model.{name}": tensor for name, tensor in model.state_dict().items()}
     for name, parameter in model.named_parameters():
         for part, tensor in adam.state.get(parameter, {}).items():
@@ -54,12 +56,28 @@ def save_checkpoint(
     plain = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     with atomic_path(path) as partial:
         save_file(plain, partial, {"sfsnet_dr": json.dumps(header, sort_keys=True)})
+        if path.exists():  # a second name for it first, so that at no moment there is none
+            older = partial.with_name(f"{partial.name}.older")
+            os.link(path, older)
+            os.replace(older, previous(path))
+
+
+def previous(path: Path) -> Path:
+    """Where the checkpoint before the last one is kept."""
+    return path.with_name(f"{path.stem}.previous{path.suffix}")
 
 
 def load_checkpoint(
-    path: Path, model: nn.Module, adam: torch.optim.Adam, recipe: Recipe, data: str
+    path: Path,
+    model: nn.Module,
+    adam: torch.optim.Adam,
+    recipe: Recipe,
+    data: str,
+    tell: Callable[[str], object] = lambda _: None,
 ) -> Progress:
     """Put a saved state into a network and its optimiser, both freshly made from the same recipe.
+
+    Where the file is damaged, the one before it is taken and ``tell`` is told.
 
     Raises:
         BadInput: if there is no checkpoint, or it is of another recipe, other data or another format.
@@ -67,11 +85,12 @@ def load_checkpoint(
     if not path.is_file():
         raise BadInput(f"{path}: no checkpoint to resume from; start without --resume")
     try:
-        with safe_open(path, framework="pt") as file:
-            header = json.loads((file.metadata() or {}).get("sfsnet_dr", "{}"))
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except (SafetensorError, OSError) as error:
-        raise BadInput(f"{path}: not a checkpoint ({' '.join(str(error).split())})") from error
+        header, tensors = _read(path)
+    except BadInput as damage:
+        if not previous(path).is_file():
+            raise
+        tell(f"{damage}; going on from {previous(path).name}")
+        header, tensors = _read(previous(path))
     if header.get("format") != FORMAT:
         raise BadInput(f"{path}: {header.get('format')} found in its header, {FORMAT} expected")
     _check_same(path, header, recipe, data)
@@ -79,6 +98,15 @@ def load_checkpoint(
     for name, parameter in model.named_parameters():
         adam.state[parameter] = _adam_state(tensors, name, parameter)
     return Progress(header["step"], header["skipped"])
+
+
+def _read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
+    try:
+        with safe_open(path, framework="pt") as file:
+            header = json.loads((file.metadata() or {}).get("sfsnet_dr", "{}"))
+            return header, {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError) as error:
+        raise BadInput(f"{path}: not a checkpoint ({' '.join(str(error).split())})") from error
 
 
 def _part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:

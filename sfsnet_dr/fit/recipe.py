@@ -14,6 +14,7 @@ from sfsnet_dr.base.config import load_toml
 from sfsnet_dr.base.conventions import FACE_SIZE
 from sfsnet_dr.data.augment import Augmentation
 from sfsnet_dr.data.mixture import RealOptions
+from sfsnet_dr.fit.team import Device
 from sfsnet_dr.loss.reconstruction import Backend
 from sfsnet_dr.loss.terms import LossWeights
 from sfsnet_dr.model.network import Network
@@ -102,16 +103,17 @@ class ComputeRecipe:
             float32. Elsewhere it is emulated, four times as slow.
         channels_last: memory order that CPU convolutions are quicker in.
         loss_backend: who computes the reconstruction term.
+        device: "auto" takes a GPU if there is one; faces and photographs are then kept in its memory.
     """
 
     precision: Precision = "auto"
     channels_last: bool = True
     loss_backend: Backend = "drjit"
+    device: Device = "auto"
 
-    @property
-    def bfloat16(self) -> bool:
-        """Whether this machine trains in bfloat16."""
-        return self.precision == "bfloat16" or (self.precision == "auto" and _multiplies_bfloat16())
+    def bfloat16(self, device: torch.device) -> bool:
+        """Whether a device trains in bfloat16."""
+        return self.precision == "bfloat16" or (self.precision == "auto" and multiplies_bfloat16(device))
 
 
 @dataclass(frozen=True)
@@ -123,6 +125,7 @@ class Recipe:
         batch_size: images a step.
         seed: of the initial weights and of every batch.
         checkpoint_every: steps between two checkpoints; the last step always writes one.
+        pictures_every: steps between two pictures of what the network makes of a batch; 0 for none.
         most_skipped: steps with a loss or gradient that is not finite before the run fails.
         model, data, optimiser, compute: the network, how rendered faces vary, Adam, and how it is computed.
         loss: weights of the terms; ``real_loss`` those of real faces with pseudo-labels.
@@ -136,6 +139,7 @@ class Recipe:
     batch_size: int = 8
     seed: int = 0
     checkpoint_every: int = 100
+    pictures_every: int = 0
     most_skipped: int = 10
     model: ModelRecipe = field(default_factory=ModelRecipe)
     data: Augmentation = field(default_factory=Augmentation)
@@ -147,7 +151,7 @@ class Recipe:
 
     def __post_init__(self) -> None:
         _positive(self, "steps", "batch_size", "checkpoint_every")
-        _not_negative(self, "seed", "most_skipped")
+        _not_negative(self, "seed", "most_skipped", "pictures_every")
         self.real.count(self.batch_size)
 
     def make_model(self) -> Network:
@@ -171,7 +175,10 @@ def read_recipe(path: Path | str) -> Recipe:
     return recipe
 
 
-def _multiplies_bfloat16() -> bool:
+def multiplies_bfloat16(device: torch.device) -> bool:
+    """Whether a device has instructions for it; others emulate it."""
+    if device.type == "cuda":
+        return bool(torch.cuda.is_bf16_supported(including_emulation=False))
     capabilities = torch.cpu.get_capabilities()
     return any(capabilities.get(name, False) for name in ("avx512_bf16", "amx_bf16"))
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from typing import Final
+
 import torch
 from torch import Tensor, nn
 
@@ -9,10 +12,13 @@ from sfsnet_dr.data.batch import FaceBatch
 from sfsnet_dr.data.mixture import MixedBatch
 from sfsnet_dr.fit.collapse import spread_ratios
 from sfsnet_dr.fit.recipe import Recipe
+from sfsnet_dr.fit.team import Team
 from sfsnet_dr.loss.mixture import mixed_loss
-from sfsnet_dr.loss.terms import LossTerms, sfsnet_loss
+from sfsnet_dr.loss.terms import LossTerms, Share, sfsnet_loss
 from sfsnet_dr.model.network import Network
 from sfsnet_dr.model.outputs import Decomposition
+
+_ALONE: Final = Team()
 
 
 class NotFinite(Exception):
@@ -20,21 +26,28 @@ class NotFinite(Exception):
 
 
 def training_step(
-    model: Network, adam: torch.optim.Adam, batch: FaceBatch | MixedBatch, recipe: Recipe, rate: float
+    model: Network,
+    adam: torch.optim.Adam,
+    batch: FaceBatch | MixedBatch,
+    recipe: Recipe,
+    rate: float,
+    team: Team = _ALONE,
 ) -> dict[str, float]:
     """Learn from one batch.
 
     Args:
         model: in training mode.
         adam: its optimiser.
-        batch: in float32, contiguous.
+        batch: in float32, contiguous; this process's part of it where several train together.
         recipe: precision, memory order, loss and largest gradient are taken from it.
         rate: learning rate of this step.
+        team: the processes that train together; all of them call this with parts of one batch.
 
     Returns:
         The loss and its terms before the step; of a mixed batch those of the labelled faces, and those of the
         real ones as ``real_recon`` and so on. ``gradient`` is the norm of the gradient before clipping,
-        ``normal_spread`` and ``albedo_spread`` are the ratios of ``fit.collapse``.
+        ``normal_spread`` and ``albedo_spread`` are the ratios of ``fit.collapse``, their means over the
+        processes.
 
     Raises:
         NotFinite: if the loss or the gradient is not finite; nothing has been changed then, batch
@@ -42,12 +55,17 @@ def training_step(
     """
     statistics = [(buffer, buffer.clone()) for buffer in model.buffers()]
     try:
-        total, terms, ratios = _forward(model, batch, recipe)
-        values = {name: float(term.detach()) for name, term in terms.items()}
+        total, terms, ratios = _forward(model, batch, recipe, team)
         adam.zero_grad(set_to_none=True)
-        values["gradient"] = _backward(model, total, recipe.optimiser.largest_gradient)
-        values |= {f"{name}_spread": ratio for name, ratio in ratios.items()}
-        bad = [name for name, value in values.items() if not torch.isfinite(torch.tensor(value))]
+        total.backward()  # type: ignore[no-untyped-call]
+        team.sum_gradients(model)
+        norm = nn.utils.clip_grad_norm_(model.parameters(), recipe.optimiser.largest_gradient)
+        shares = {f"{name}_spread": total.new_tensor(r / team.size) for name, r in ratios.items()}
+        names = [*terms, *shares]
+        sums = team.sum(torch.stack([*terms.values(), *shares.values()]).detach())
+        numbers = torch.cat([sums, norm.reshape(1)]).tolist()  # waits for a GPU once
+        values = dict(zip([*names, "gradient"], numbers, strict=True))
+        bad = [name for name, value in values.items() if not math.isfinite(value)]
         if bad:
             raise NotFinite(f"{', '.join(bad)} not finite")
     except NotFinite:
@@ -60,28 +78,47 @@ def training_step(
     return values
 
 
-def _forward(
-    model: Network, batch: FaceBatch | MixedBatch, recipe: Recipe
-) -> tuple[Tensor, dict[str, Tensor], dict[str, float]]:
-    """The loss, all terms to be noted, and how much the answers for labelled faces vary."""
+def predicted(model: Network, image: Tensor, recipe: Recipe) -> Decomposition:
+    """A network's answer in the recipe's precision and memory order."""
     layout = torch.channels_last if recipe.compute.channels_last else torch.contiguous_format
-    image = batch.image.contiguous(memory_format=layout)
-    with torch.autocast(image.device.type, torch.bfloat16, enabled=recipe.compute.bfloat16):
-        prediction = model(image)
+    image = image.contiguous(memory_format=layout)
+    with torch.autocast(image.device.type, torch.bfloat16, enabled=recipe.compute.bfloat16(image.device)):
+        answer: Decomposition = model(image)
+    return answer
+
+
+def batch_loss(
+    prediction: Decomposition, batch: FaceBatch | MixedBatch, recipe: Recipe, team: Team = _ALONE
+) -> tuple[Tensor, dict[str, Tensor]]:
+    """The loss of a batch, and all terms to be noted; their sums over a team are those of the whole batch."""
     backend = recipe.compute.loss_backend
     if isinstance(batch, FaceBatch):
-        terms = sfsnet_loss(prediction, batch, recipe.loss, backend)
-        return terms.total, terms._asdict(), spread_ratios(prediction, batch)
-    total, terms, real = mixed_loss(prediction, batch, recipe.loss, recipe.real_loss, backend)
-    labelled = Decomposition(*(part[: len(batch.labelled.image)] for part in prediction))
-    return total, _named(total, terms, real), spread_ratios(labelled, batch.labelled)
+        terms = sfsnet_loss(prediction, batch, recipe.loss, backend, share=_share(batch, team))
+        return terms.total, terms._asdict()
+    shares = [_share(part, team) for part in (batch.labelled, batch.real)]
+    both = None if shares[0] is None or shares[1] is None else (shares[0], shares[1])
+    total, terms, real = mixed_loss(prediction, batch, recipe.loss, recipe.real_loss, backend, both)
+    return total, _named(total, terms, real)
+
+
+def _forward(
+    model: Network, batch: FaceBatch | MixedBatch, recipe: Recipe, team: Team
+) -> tuple[Tensor, dict[str, Tensor], dict[str, float]]:
+    """The loss, all terms to be noted, and how much the answers for labelled faces vary."""
+    prediction = predicted(model, batch.image, recipe)
+    total, terms = batch_loss(prediction, batch, recipe, team)
+    labelled = batch if isinstance(batch, FaceBatch) else batch.labelled
+    first = Decomposition(*(part[: len(labelled.image)] for part in prediction))
+    return total, terms, spread_ratios(first, labelled)
+
+
+def _share(batch: FaceBatch, team: Team) -> Share | None:
+    if team.size == 1:
+        return None
+    own = batch.mask.sum()
+    return Share(own / team.sum(own).clamp_min(1e-6), 1 / team.size)
 
 
 def _named(total: Tensor, labelled: LossTerms, real: LossTerms) -> dict[str, Tensor]:
     values = labelled._asdict() | {"total": total}
     return values | {f"real_{name}": term for name, term in real._asdict().items() if name != "total"}
-
-
-def _backward(model: nn.Module, total: Tensor, largest: float) -> float:
-    total.backward()  # type: ignore[no-untyped-call]
-    return float(nn.utils.clip_grad_norm_(model.parameters(), largest))

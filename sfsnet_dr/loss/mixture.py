@@ -6,7 +6,7 @@ from torch import Tensor
 
 from sfsnet_dr.data.mixture import MixedBatch
 from sfsnet_dr.loss.reconstruction import Backend
-from sfsnet_dr.loss.terms import LossTerms, LossWeights, sfsnet_loss
+from sfsnet_dr.loss.terms import LossTerms, LossWeights, Share, sfsnet_loss
 from sfsnet_dr.model.outputs import Decomposition
 
 
@@ -16,6 +16,7 @@ def mixed_loss(
     labelled_weights: LossWeights,
     real_weights: LossWeights,
     backend: Backend = "drjit",
+    shares: tuple[Share, Share] | None = None,
 ) -> tuple[Tensor, LossTerms, LossTerms]:
     """The mean over all faces of a batch, each kind with weights of its own.
 
@@ -26,6 +27,7 @@ def mixed_loss(
         real_weights: of the terms of real faces; reconstruction against the photograph counts wherever their
             mask is, pseudo-supervision as far as it is trusted.
         backend: who computes the reconstruction terms.
+        shares: what this is of a larger batch, of the labelled and of the real faces.
 
     Returns:
         Total, terms of the labelled faces, terms of the real ones.
@@ -33,7 +35,8 @@ def mixed_loss(
     count, real = len(target.labelled.image), len(target.real.image)
     first = Decomposition(*(part[:count] for part in prediction))
     second = Decomposition(*(part[count:] for part in prediction))
-    labelled_terms = sfsnet_loss(first, target.labelled, labelled_weights, backend)
-    real_terms = sfsnet_loss(second, target.real, real_weights, backend, target.confidence)
+    of_labelled, of_real = shares or (None, None)
+    labelled_terms = sfsnet_loss(first, target.labelled, labelled_weights, backend, share=of_labelled)
+    real_terms = sfsnet_loss(second, target.real, real_weights, backend, target.confidence, of_real)
     total = (count * labelled_terms.total + real * real_terms.total) / (count + real)
     return total, labelled_terms, real_terms

@@ -32,6 +32,13 @@ class LossWeights:
     light: float = 0.1
 
 
+class Share(NamedTuple):
+    """What a process has of a batch that several share: of its mask's pixels, and of its images."""
+
+    pixels: Tensor
+    images: float
+
+
 class LossTerms(NamedTuple):
     """Scalar tensors: the weighted total, and the four terms before weighting."""
 
@@ -48,6 +55,7 @@ def sfsnet_loss(
     weights: LossWeights | None = None,
     backend: Backend = "drjit",
     confidence: Tensor | None = None,
+    share: Share | None = None,
 ) -> LossTerms:
     """The paper's total loss, eq. 2, with its terms.
 
@@ -60,6 +68,7 @@ def sfsnet_loss(
             errors of normals and albedo but not the number that they are divided by, so that faces with
             doubtful labels pull less; light is weighted by the mean over its face. Reconstruction, which
             needs no label, is not.
+        share: what this is of a larger batch; the terms are then those parts that add up to the batch's.
 
     Raises:
         BadInput: naming the field whose shape does not fit.
@@ -76,6 +85,9 @@ def sfsnet_loss(
     normal = masked_l1(prediction.normal, target.normal, target.mask, confidence)
     albedo = masked_l1(prediction.albedo, target.albedo, target.mask, confidence)
     light = _light_l2(prediction.light, target, confidence)
+    if share is not None:
+        recon, normal, albedo = (share.pixels * term for term in (recon, normal, albedo))
+        light = share.images * light
     total = weights.recon * recon + weights.normal * normal + weights.albedo * albedo + weights.light * light
     return LossTerms(total, recon, normal, albedo, light)
 

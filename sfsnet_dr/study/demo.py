@@ -23,7 +23,8 @@ from sfsnet_dr.data.photograph import face_ellipse_mask, read_eyes, to_canonical
 from sfsnet_dr.data.synth import render_bundle, synthesize
 from sfsnet_dr.fit.history import read_history
 from sfsnet_dr.fit.recipe import read_recipe
-from sfsnet_dr.fit.trainer import TrainResult, train
+from sfsnet_dr.fit.run import TrainResult
+from sfsnet_dr.fit.trainer import train
 from sfsnet_dr.metrics.normals import NormalErrors, angular_error_deg
 from sfsnet_dr.model.weights import load_weights
 from sfsnet_dr.report.console import bar

@@ -29,7 +29,8 @@ from sfsnet_dr.data.synth import synthesize
 from sfsnet_dr.fit.checkpoint import differences
 from sfsnet_dr.fit.pseudo_label import pseudo_label
 from sfsnet_dr.fit.recipe import Recipe, read_recipe
-from sfsnet_dr.fit.trainer import CHECKPOINT, WEIGHTS, train
+from sfsnet_dr.fit.run import CHECKPOINT, WEIGHTS
+from sfsnet_dr.fit.trainer import train
 from sfsnet_dr.report.console import bar
 from sfsnet_dr.report.record import Record
 from sfsnet_dr.scene.spec import SceneSpec, load_scene

@@ -15,8 +15,8 @@ from sfsnet_dr.data.photo_set import PhotoSet
 from sfsnet_dr.data.photo_source import PhotoSource
 from sfsnet_dr.data.pseudo_labels import MANIFEST
 from sfsnet_dr.fit.history import read_history
+from sfsnet_dr.fit.run import HISTORY, WEIGHTS
 from sfsnet_dr.fit.trained import Trained, load_trained
-from sfsnet_dr.fit.trainer import HISTORY, WEIGHTS
 from sfsnet_dr.report.console import bar
 from sfsnet_dr.report.record import Record, measured
 from sfsnet_dr.study.held_back import Numbers, held_batch, on_photographs, on_rendered, records_of

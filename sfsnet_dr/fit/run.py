@@ -1,0 +1,216 @@
+"""A training run's changing state, and everything that it writes."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import torch
+from rich.console import Console
+from safetensors import SafetensorError
+
+from sfsnet_dr.base.checks import WorkFailed
+from sfsnet_dr.base.config import as_dict
+from sfsnet_dr.data.dataset import RelitFaces
+from sfsnet_dr.data.mixture import MixedFaces
+from sfsnet_dr.fit.board import Board
+from sfsnet_dr.fit.checkpoint import Progress, load_checkpoint, save_checkpoint
+from sfsnet_dr.fit.collapse import PARTS, Watch
+from sfsnet_dr.fit.history import History, read_history
+from sfsnet_dr.fit.pictures import write_pictures
+from sfsnet_dr.fit.recipe import Recipe
+from sfsnet_dr.fit.step import NotFinite, training_step
+from sfsnet_dr.fit.team import Team
+from sfsnet_dr.model.weights import save_weights
+
+#: Files of a run's folder.
+WEIGHTS: Final = "weights.safetensors"
+CHECKPOINT: Final = "checkpoint.safetensors"
+HISTORY: Final = "history.jsonl"
+LIGHTS: Final = "lights.npz"
+PICTURES: Final = "pictures-{:06d}.png"
+
+_TERMS: Final = (
+    "total", "recon", "normal", "albedo", "light", "real_recon", "real_normal", "real_albedo", "real_light",
+)  # fmt: skip
+
+#: Steps that ``first`` and ``final`` of a result are means over.
+WINDOW: Final = 20
+
+
+@dataclass(frozen=True)
+class TrainResult:
+    """What a run leaves.
+
+    Args:
+        weights: the network, for ``load_weights``.
+        history: a line for every step, for ``read_history``.
+        first: means over the first ``WINDOW`` steps of total, recon, normal, albedo and light, and of
+            real_recon and so on where photographs took part.
+        final: the same over the last ``WINDOW`` steps.
+        skipped: steps whose loss or gradient was not finite.
+    """
+
+    weights: Path
+    history: Path
+    first: dict[str, float]
+    final: dict[str, float]
+    skipped: int
+
+
+class Run:
+    """The network, Adam and how far a run is. Of a team the leading process alone writes files.
+
+    Args:
+        recipe: of the run.
+        batches: what it learns from, on the team's device.
+        folder: for all files.
+        resume: go on from the checkpoint in the folder.
+        team: the processes that train together.
+        tensorboard: write for TensorBoard too.
+    """
+
+    def __init__(
+        self,
+        recipe: Recipe,
+        batches: RelitFaces | MixedFaces,
+        folder: Path,
+        *,
+        resume: bool,
+        team: Team,
+        tensorboard: bool,
+    ) -> None:
+        self.recipe, self.folder, self.batches, self.team = recipe, folder, batches, team
+        self.data = batches.fingerprint
+        self.watch = Watch()
+        self.model = recipe.make_model()
+        team.prepare(self.model)
+        layout = torch.channels_last if recipe.compute.channels_last else torch.contiguous_format
+        self.model.to(memory_format=layout)  # type: ignore[call-overload]
+        decay = recipe.optimiser.weight_decay
+        self.adam = torch.optim.Adam(self.model.parameters(), weight_decay=decay)
+        self.done = Progress()
+        self._screen = Console(stderr=True, quiet=not team.leads)
+        if resume:
+            checkpoint = folder / CHECKPOINT
+            self.done = load_checkpoint(checkpoint, self.model, self.adam, recipe, self.data, tell=self._tell)
+            self._look_back()
+        self._board = Board(folder, self.done.step) if tensorboard and team.leads else None
+        team.wait()  # all have read what the leading one is about to change
+        self._history = History(folder / HISTORY, self.done.step) if team.leads else None
+
+    def _look_back(self) -> None:
+        """Show the watch what it saw before, so that a resumed run warns where an unstopped one would."""
+        for line in read_history(self.folder / HISTORY):
+            if line["step"] < self.done.step and "skipped" not in line:
+                self.watch.see(_spreads(line))
+
+    def close(self) -> None:
+        """Close what is open."""
+        if self._history is not None:
+            self._history.close()
+        if self._board is not None:
+            self._board.close()
+
+    def step(self) -> tuple[str, str]:
+        """Do the next step, note it, and give the bar its texts: loss and speed.
+
+        Raises:
+            WorkFailed: if too many steps were not finite, or nothing can be written any more.
+        """
+        number = self.done.step
+        started = time.perf_counter()
+        rate = self.recipe.optimiser.rate(number, self.recipe.steps)
+        try:
+            batch = self.batches.batch(number, self.team.rank, self.team.size)
+            values = training_step(self.model, self.adam, batch, self.recipe, rate, self.team)
+            speed = self.recipe.batch_size / (time.perf_counter() - started)
+            warning = self.watch.see(_spreads(values))
+            more = {"warning": warning} if warning else {}
+            self._note(step=number, rate=rate, **values, **more, images_per_second=round(speed, 2))
+            if warning:
+                self._tell(f"step {number}: {warning}")
+            texts = f"loss {values['total']:.4f}", f"{speed:.1f} images/s"
+            self.done = replace(self.done, step=number + 1)
+        except NotFinite as error:
+            names = self.batches.names(number)
+            self._note(step=number, rate=rate, skipped=str(error), faces=names)
+            self._tell(f"step {number}: skipped, {error} on {', '.join(names)}")
+            texts = f"skipped: {error}", ""
+            self.done = Progress(number + 1, self.done.skipped + 1)
+            self._check_skipped(str(error), names)
+        if self.done.step % self.recipe.checkpoint_every == 0:
+            self.save()
+        every = self.recipe.pictures_every
+        if every and self.done.step % every == 0 and self.team.leads:
+            path = self.folder / PICTURES.format(self.done.step)
+            write_pictures(path, self.model, self.batches.batch(0), self.recipe.real.values)
+        return texts
+
+    def save(self) -> None:
+        """Write the checkpoint; the one before stays beside it.
+
+        Raises:
+            WorkFailed: if it cannot be written, as on a full disk; the last one is whole then.
+        """
+        if not self.team.leads:
+            return
+        path = self.folder / CHECKPOINT
+        try:
+            save_checkpoint(path, self.model, self.adam, self.done, self.recipe, self.data)
+        except (OSError, SafetensorError) as error:
+            raise self._unwritable(path, error) from error
+
+    def finish(self) -> TrainResult:
+        """Write the weights and sum up."""
+        self.save()
+        self.team.wait()
+        lines = [line for line in read_history(self.folder / HISTORY) if "skipped" not in line]
+        first, final = _means(lines[:WINDOW]), _means(lines[-WINDOW:])
+        metadata = {"recipe": as_dict(self.recipe), "data": self.data, "final": final}
+        path = self.folder / WEIGHTS
+        if self.team.leads:
+            try:
+                save_weights(path, self.model, metadata)
+            except (OSError, SafetensorError) as error:
+                raise self._unwritable(path, error) from error
+        self.team.wait()
+        return TrainResult(path, self.folder / HISTORY, first, final, self.done.skipped)
+
+    def _note(self, **values: Any) -> None:
+        if self._history is not None:
+            try:
+                self._history.add(**values)
+            except OSError as error:
+                raise self._unwritable(self.folder / HISTORY, error) from error
+        if self._board is not None:
+            self._board.add(values["step"], values)
+
+    def _tell(self, text: str) -> None:
+        self._screen.print(text, style="yellow", soft_wrap=True)
+
+    def _unwritable(self, path: Path, error: Exception) -> WorkFailed:
+        reason = " ".join(str(error).split())
+        return WorkFailed(
+            f"{path}: cannot be written ({reason}); the last checkpoint is whole: make room and go on with "
+            "--resume"
+        )
+
+    def _check_skipped(self, reason: str, names: list[str]) -> None:
+        if self.done.skipped > self.recipe.most_skipped:
+            self.save()
+            raise WorkFailed(
+                f"training: {self.done.skipped} steps were not finite ({self.recipe.most_skipped} allowed); "
+                f"the last, {self.done.step - 1}, had {reason} on {', '.join(names)}; lower the learning rate"
+            )
+
+
+def _spreads(values: dict[str, Any]) -> dict[str, float]:
+    return {name: values[f"{name}_spread"] for name in PARTS}
+
+
+def _means(lines: list[dict[str, Any]]) -> dict[str, float]:
+    names = [name for name in _TERMS if lines and name in lines[0]]
+    return {name: sum(line[name] for line in lines) / len(lines) for name in names}

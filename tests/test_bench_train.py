@@ -1,0 +1,43 @@
+"""The bench of training: its arithmetic on known times, and a small run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+from spheres import write_spheres
+from test_trainer import RECIPE
+
+from sfsnet_dr.fit.team import Team
+from sfsnet_dr.study.bench import contest as contests
+from sfsnet_dr.study.bench import train
+from sfsnet_dr.study.bench.contest import Times
+
+
+def test_shares_and_ratios_are_of_whole_steps() -> None:
+    """A step of 3 s, 1 s of it the loss, after 1 s for its data; the plain one takes 7 s."""
+    times = {
+        "step": Times((3.0, 3.0)),
+        "plain": Times((7.0, 7.0)),
+        "data": Times((1.0, 1.0)),
+        "loss": Times((1.0, 1.0)),
+    }
+    records, lines = train._told(RECIPE, times, "", fast=False, native=False, team=Team())
+    values = {record.what: record.value for record in records}
+    assert values["train.images_per_s"] == RECIPE.batch_size / 4
+    assert values["train.ratio.plain_step"] == 2
+    assert values["train.share.data"] == values["train.share.loss"] == 0.25
+    assert values["train.share.network"] == 0.5
+    assert values["train.bfloat16"] == values["train.bfloat16.native"] == values["train.gpu"] == 0
+    assert "no bfloat16 instructions" in lines[0]
+
+
+def test_a_small_bench_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(contests, "TURN_SECONDS", 0.0)
+    data = write_spheres(tmp_path / "faces", 2)
+    records, _ = train.bench_train(RECIPE, data, "sfsnet-dr bench train", rounds=2)
+    values = {record.what: record.value for record in records}
+    assert values["train.images_per_s"] > 0
+    assert values["train.ratio.plain_step"] > 0
+    assert values["train.gpu"] == torch.cuda.is_available()
