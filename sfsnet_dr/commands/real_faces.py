@@ -97,3 +97,52 @@ class PhotometricStereo:
         with bar("checking on rendered faces", self.check_faces) as advance:
             errors = check_on_rendered_faces(range(self.check_faces), on_face=advance)
         return check_records(errors, command_line())
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Measure networks and baselines on real faces whose normals, albedo and lights are known.
+
+    NAME yale-b or photoface: DIR is the database, and its truth is made by photometric stereo. NAME labels:
+    DIR is what `sfsnet-dr photometric-stereo` wrote. OUT gets records.json, table.csv and index.html, a page
+    that shows the people: mind the terms of the data.
+
+    Example: sfsnet-dr evaluate yale-b CroppedYale --weights out/sfsnet/weights.safetensors --out out/yale-b
+    """
+
+    data: Positional[
+        Annotated[Literal["yale-b", "photoface", "labels"], arg(metavar="NAME", help="What DIR is.")]
+    ]
+    folder: DatabaseFolder
+    out: Out
+    weights: Annotated[
+        tuple[Path, ...], arg(metavar="FILE", help="Weights of networks to measure beside the baselines.")
+    ] = ()
+    quick: Annotated[bool, arg(help="Four subjects and every fourth light.")] = False
+    as_json: Json = False
+
+    def run(self) -> Result:
+        from sfsnet_dr.data.databases import open_database
+        from sfsnet_dr.data.surface_labels import load_surfaces, read_index
+        from sfsnet_dr.report.console import bar
+        from sfsnet_dr.study.evaluate.run import evaluate, methods_for
+        from sfsnet_dr.study.photometric import label_surfaces
+
+        if self.data == "labels":
+            name, faces = read_index(self.folder)["database"], load_surfaces(self.folder)
+            faces = faces[:4] if self.quick else faces
+        else:
+            name, listing = self.data, open_database(self.data, self.folder)
+            if self.quick:
+                listing = listing.first_subjects(4)
+            with bar("photometric stereo", len(listing.captures())) as advance:
+                faces = label_surfaces(listing, halves=False, on_capture=advance).labels
+        lights = sorted({light for face in faces for light in face.lights})
+        methods = methods_for(faces, self.weights)
+        with bar("measuring methods", len(methods)) as advance:
+            records = evaluate(
+                name, faces, methods, self.out, command_line(),
+                lights=lights[::4] if self.quick and len(lights) >= 16 else None,
+                on_method=advance,
+            )  # fmt: skip
+        return of_records(records, f"page: {self.out / 'index.html'}")

@@ -10,7 +10,7 @@ from sfsnet_dr.commands.faces import Relight, Show, Synth
 from sfsnet_dr.commands.lights import WorstLight
 from sfsnet_dr.commands.network import Decompose, Train
 from sfsnet_dr.commands.photographs import PseudoLabel
-from sfsnet_dr.commands.real_faces import DataCheck, PhotometricStereo
+from sfsnet_dr.commands.real_faces import DataCheck, Evaluate, PhotometricStereo
 from sfsnet_dr.commands.regression import Regress
 from sfsnet_dr.commands.result import Command
 from sfsnet_dr.commands.stability import Stability
@@ -29,6 +29,7 @@ COMMANDS: Final[dict[str, tuple[type[Command], str]]] = {
     "stages": (Stages, "Run every stage of training and measure the networks"),
     "data check": (DataCheck, "Count what a folder of a face database holds"),
     "photometric-stereo": (PhotometricStereo, "Find normals from photographs under known lights"),
+    "evaluate": (Evaluate, "Measure networks and baselines on faces with known normals"),
     "decompose": (Decompose, "Take photographs of faces apart"),
     "validate": (Validate, "Measure the SH renderer against the path tracer"),
     "worst-light": (WorstLight, "Find the light under which the SH renderer is most wrong"),

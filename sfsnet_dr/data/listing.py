@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -81,6 +81,11 @@ class Listing:
     def subjects(self) -> tuple[str, ...]:
         """Who is in it, in order."""
         return tuple(sorted({photo.subject for photo in self.photos}))
+
+    def first_subjects(self, count: int) -> Listing:
+        """The same with its first subjects only."""
+        chosen = self.subjects[:count]
+        return replace(self, photos=tuple(photo for photo in self.photos if photo.subject in chosen))
 
     def captures(self) -> dict[str, list[FacePhoto]]:
         """Photographs by capture."""

@@ -1,0 +1,146 @@
+"""Methods that take faces apart, behind one protocol, so that networks and baselines are alike to a table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.base.color_torch import linear_to_srgb, srgb_to_linear
+from sfsnet_dr.base.conventions import LIGHT_ORDER
+from sfsnet_dr.fit.trained import load_trained
+from sfsnet_dr.model.predict import predict
+from sfsnet_dr.render.shading_torch import shading, unit
+from sfsnet_dr.sh.basis_torch import sh_basis
+
+
+class Answer(NamedTuple):
+    """What a method says about a batch.
+
+    Args:
+        normal: unit vectors in the camera frame, (B, 3, H, W).
+        albedo: linear, up to a factor for each image, (B, 3, H, W).
+        light: order-2 shading coefficients, (B, 27).
+        image: linear reconstruction, (B, 3, H, W).
+    """
+
+    normal: Tensor
+    albedo: Tensor
+    light: Tensor
+    image: Tensor
+
+
+class Method(Protocol):
+    """One method."""
+
+    @property
+    def name(self) -> str:
+        """A short word for records and tables."""
+
+    def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Answer:
+        """Take faces apart.
+
+        Args:
+            images: linear, in the canonical frame, (B, 3, 128, 128).
+            masks: share of each pixel that is skin, (B, 1, 128, 128).
+            subjects: whom they show; for methods that must not know the same person.
+        """
+
+
+class NetworkMethod:
+    """A trained network, at the size and with the form of values that it was trained with.
+
+    Raises:
+        BadInput: for unusable weights.
+    """
+
+    def __init__(self, name: str, weights: Path | str) -> None:
+        self.name = name
+        self.trained = load_trained(weights)
+
+    def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Answer:
+        """See ``Method``; maps of a smaller network are interpolated."""
+        size = images.shape[-1]
+        small = functional.avg_pool2d(images, size // self.trained.size)
+        display = self.trained.values == "display"
+        found = predict(self.trained.model, linear_to_srgb(small.clamp(0, 1)) if display else small)
+        normal, albedo = (_grown(part, size) for part in (found.normal, found.albedo))
+        normal = unit(normal)
+        image = albedo * shading(normal, found.light)
+        if display:
+            image, albedo = srgb_to_linear(image), srgb_to_linear(albedo.clamp_min(0))
+        return Answer(normal, albedo, found.light, image)
+
+
+class FlatNormals:
+    """Every normal toward the viewer; the albedo takes all that is in the image."""
+
+    name = "flat"
+
+    def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Answer:
+        """See ``Method``."""
+        normal = torch.zeros_like(images)
+        normal[:, 2] = 1
+        return explained(normal, images, masks)
+
+
+class MeanNormals:
+    """The mean normals of other subjects: what anybody's aligned face looks like, whatever the image shows.
+
+    Args:
+        normals: subject -> normals (3, 128, 128), 0 where they are not known.
+
+    Raises:
+        BadInput: with fewer than two subjects.
+    """
+
+    name = "mean-face"
+
+    def __init__(self, normals: Mapping[str, Tensor]) -> None:
+        if len(normals) < 2:
+            raise BadInput(f"subjects: {len(normals)} found, two are needed for the mean of others")
+        self.normals = dict(normals)
+        self._total = torch.stack(list(self.normals.values())).sum(0)
+
+    def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Answer:
+        """See ``Method``."""
+        sums = [self._total - self.normals.get(subject, torch.zeros(3, 1, 1)) for subject in subjects]
+        total = torch.stack(sums)
+        total[:, 2] += 1e-3  # toward the viewer where nobody's normals are known
+        return explained(unit(total), images, masks)
+
+
+def explained(normal: Tensor, images: Tensor, masks: Tensor, ridge: float = 0.01) -> Answer:
+    """Light by least squares under a constant albedo, and the albedo that then explains each image.
+
+    Args:
+        normal: unit vectors, (B, 3, H, W).
+        images: linear, (B, 3, H, W).
+        masks: (B, 1, H, W); pixels that count.
+        ridge: penalty on the coefficients, in shares of the mean square of the basis.
+    """
+    basis = sh_basis(normal, LIGHT_ORDER, dim=1).double()
+    weight = masks.double()
+    gram = torch.einsum("bkhw,blhw->bkl", basis * weight, basis)
+    right = torch.einsum("bkhw,bchw->bck", basis * weight, images.double())
+    scale = gram.diagonal(dim1=1, dim2=2).mean(1)[:, None, None]
+    gram = (
+        gram + ridge * scale * torch.eye(gram.shape[-1], dtype=gram.dtype) + 1e-9 * torch.eye(gram.shape[-1])
+    )
+    light = torch.linalg.solve(gram[:, None], right[..., None])[..., 0]
+    light = (light / 0.5).reshape(len(images), -1).float()  # the albedo is .5 on average
+    shade = shading(normal, light)
+    floor = 0.05 * shade.clamp_min(0).mean((1, 2, 3), keepdim=True) + 1e-6
+    albedo = images / shade.clamp_min(0).maximum(floor)
+    return Answer(normal, albedo, light, albedo * shade)
+
+
+def _grown(part: Tensor, size: int) -> Tensor:
+    if part.shape[-1] == size:
+        return part
+    return functional.interpolate(part, size=(size, size), mode="bilinear", align_corners=False)

@@ -1,0 +1,1 @@
+"""Measuring methods of inverse rendering on faces whose truth is known."""
