@@ -134,6 +134,7 @@ def test_reconstruction_is_measured_in_8_bit_units() -> None:
     assert errors.rmse == pytest.approx(errors.mae)
 
 
+@pytest.mark.slow
 def test_the_command_writes_records_table_and_page(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
