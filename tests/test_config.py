@@ -9,7 +9,7 @@ from typing import Literal
 import pytest
 
 from sfsnet_dr.base.checks import BadInput
-from sfsnet_dr.base.config import as_dict, fingerprint, load_toml
+from sfsnet_dr.base.config import added, as_dict, fingerprint, load_toml
 from sfsnet_dr.scene.spec import SceneSpec, load_scene
 
 
@@ -103,3 +103,18 @@ def test_values_out_of_range_are_refused(tmp_path: Path, line: str, words: str) 
     with pytest.raises(BadInput) as caught:
         load_scene(path)
     assert words in str(caught.value)
+
+
+def test_a_field_that_came_later_counts_only_when_used() -> None:
+    @dataclass(frozen=True)
+    class Before:
+        rate: float = 0.5
+
+    @dataclass(frozen=True)
+    class After:
+        rate: float = 0.5
+        later: float = added(0.0)
+
+    assert fingerprint(Before()) == fingerprint(After())
+    assert fingerprint(After()) != fingerprint(After(later=1.0))
+    assert as_dict(After(later=1.0)) == {"rate": 0.5, "later": 1.0}

@@ -15,6 +15,8 @@ from sfsnet_dr.base.checks import BadInput, nearest
 
 T = TypeVar("T")
 
+_ADDED = "added"
+
 
 def load_toml(cls: type[T], path: Path | str) -> T:
     """Read a TOML file into a frozen dataclass; tables become nested dataclasses, arrays tuples.
@@ -54,10 +56,28 @@ def build(cls: type[T], table: dict[str, Any], where: str) -> T:
     return cls(**values)
 
 
+def added(default: Any) -> Any:
+    """A field that came after data sets had been made: at its default it is left out of ``as_dict``.
+
+    So specs that do not use it keep the hash that they had, and data sets made before are gone on with.
+    """
+    return dataclasses.field(default=default, metadata={_ADDED: True})
+
+
 def as_dict(spec: Any) -> dict[str, Any]:
     """A dataclass as plain JSON values, for records and hashes."""
-    plain: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(spec)))
+    plain: dict[str, Any] = json.loads(json.dumps(_plain(spec)))
     return plain
+
+
+def _plain(value: Any) -> Any:
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        fields = [(field, getattr(value, field.name)) for field in dataclasses.fields(value)]
+        used = [(f.name, held) for f, held in fields if not (_ADDED in f.metadata and held == f.default)]
+        return {name: _plain(held) for name, held in used}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return value
 
 
 def fingerprint(spec: Any) -> str:

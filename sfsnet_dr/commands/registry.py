@@ -7,6 +7,7 @@ from typing import Final
 from sfsnet_dr.commands.bench import BenchRelight, BenchSynth
 from sfsnet_dr.commands.bench_kernels import BenchLoss, BenchRender, BenchTrain
 from sfsnet_dr.commands.faces import Relight, Show, Synth
+from sfsnet_dr.commands.light_prior import FitLights
 from sfsnet_dr.commands.lights import WorstLight
 from sfsnet_dr.commands.network import Decompose, Train
 from sfsnet_dr.commands.photographs import PseudoLabel
@@ -30,6 +31,7 @@ COMMANDS: Final[dict[str, tuple[type[Command], str]]] = {
     "data check": (DataCheck, "Count what a folder of a face database holds"),
     "photometric-stereo": (PhotometricStereo, "Find normals from photographs under known lights"),
     "evaluate": (Evaluate, "Measure networks and baselines on faces with known normals"),
+    "fit-lights": (FitLights, "Learn from photographs which lights there are"),
     "decompose": (Decompose, "Take photographs of faces apart"),
     "validate": (Validate, "Measure the SH renderer against the path tracer"),
     "worst-light": (WorstLight, "Find the light under which the SH renderer is most wrong"),

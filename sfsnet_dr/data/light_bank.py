@@ -28,6 +28,7 @@ from sfsnet_dr.scene.environment_maps import MOST, list_maps
 from sfsnet_dr.scene.light_sources import draw
 from sfsnet_dr.scene.light_spec import LightSpec
 from sfsnet_dr.scene.lights import MAP_ORDER, SceneLight
+from sfsnet_dr.sh.light_mixture import FITTED, read_mixture
 
 Array = npt.NDArray[np.float64]
 
@@ -104,6 +105,8 @@ def bank_fingerprint(spec: LightSpec, count: int, seed: int) -> str:
     plain = as_dict(spec)
     if spec.environments is not None:
         plain["environments"] = [sha256(path) for path in list_maps(spec.environments)]
+    if spec.fitted:
+        plain["mixture"] = read_mixture(spec.mixture or FITTED).digest
     text = json.dumps([_FORMAT, plain, count, seed], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 

@@ -63,10 +63,10 @@ class IctFace:
     def __init__(self, path: Path, levels: int) -> None:
         files = read_ict(path)
         self.digest = digest_of(files.neutral, files.faces, files.identity, files.expression)
-        mesh, scale = _to_common_frame(files)
+        mesh, scale = to_common_frame(files)
         self._neutral = mesh.neutral
-        self._identity = _scaled(files.identity, mesh.kept, scale)
-        self._expression = _scaled(files.expression, mesh.kept, scale)
+        self._identity = scaled_modes(files.identity, mesh.kept, scale)
+        self._expression = scaled_modes(files.expression, mesh.kept, scale)
         self._units = files.expression_names
         self._eyes = eyeball_centres(mesh)[::-1]  # image left first
         self._eye_modes = np.stack(
@@ -120,7 +120,7 @@ def _coefficients(rng: np.random.Generator, count: int, spread: float) -> npt.ND
     return np.asarray(spread * values, dtype=np.float32)
 
 
-def _to_common_frame(files: IctFiles) -> tuple[KeptMesh, float]:
+def to_common_frame(files: IctFiles) -> tuple[KeptMesh, float]:
     """The used part of the mesh, moved and scaled so that its eyeballs' centres are Anny's."""
     kept = kept_vertices()
     number = np.full(VERTEX_COUNT, -1, dtype=np.int64)
@@ -150,9 +150,10 @@ def _island(files: IctFiles) -> Array:
     return uv
 
 
-def _scaled(
+def scaled_modes(
     modes: npt.NDArray[np.float16], kept: npt.NDArray[np.int64], scale: float
 ) -> npt.NDArray[np.float32]:
+    """(K, V, 3) offsets of the kept vertices in decimetres."""
     # Contiguous: the products of ``shape`` would copy all of it each time otherwise.
     return np.ascontiguousarray(modes[:, kept].astype(np.float32) * np.float32(scale))
 

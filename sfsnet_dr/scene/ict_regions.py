@@ -36,7 +36,8 @@ LANDMARKS = np.array(
         *(5702, 5711, 5533, 6216, 6207, 6470, 5517, 5966),
     ]
 )
-_JAW, _BROWS, _MOUTH = slice(0, 17), (slice(17, 22), slice(22, 27)), slice(48, 60)
+JAW = slice(0, 17)
+_BROWS, _MOUTH = (slice(17, 22), slice(22, 27)), slice(48, 60)
 
 _EAR_CENTRE, _EAR_SIZE = np.array([0.47, 0.57]), np.array([0.085, 0.115])  # texture, |u - 1/2| and v
 _FACE_SIDE = 0.37  # texture, |u - 1/2|: where the cheek ends before the ear
@@ -107,7 +108,7 @@ def ict_regions(mesh: KeptMesh) -> RegionWeights:
 def _face(mesh: KeptMesh) -> Array:
     """1 above the jaw's outline, in front of the ears and below the crown, in texture space."""
     side = np.abs(mesh.uv[:, 0] - 0.5)
-    jaw = mesh.uv[LANDMARKS[_JAW]]
+    jaw = mesh.uv[LANDMARKS[JAW]]
     order = np.argsort(np.abs(jaw[:9, 0] - 0.5))
     line = np.interp(side, np.abs(jaw[:9, 0] - 0.5)[order], jaw[:9, 1][order])
     above = smoothstep(-0.01, 0.01, mesh.uv[:, 1] - line)

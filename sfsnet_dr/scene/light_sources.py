@@ -15,6 +15,7 @@ from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.base.color import blackbody_tint
 from sfsnet_dr.scene.environment_maps import list_maps, load_environment
 from sfsnet_dr.scene.equirect import MAP_SIZE
+from sfsnet_dr.scene.fitted_light import draw_fitted
 from sfsnet_dr.scene.light_spec import LightKind, LightSpec
 from sfsnet_dr.scene.lights import SceneLight, heading, rotation_about
 from sfsnet_dr.scene.studio import Panel, studio
@@ -74,6 +75,8 @@ def draw(
         return _studio(rng)
     if kind == "lobes":
         return SceneLight("lobes", sample_lights(rng, 1)[0].equirect(*MAP_SIZE))
+    if kind == "fitted":
+        return draw_fitted(rng, spec.mixture)
     if kind == "directional":
         return _lamps(rng, directions)
     return SceneLight("ambient", _dome(rng, 1.0))

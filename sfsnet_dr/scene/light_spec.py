@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.base.config import added
 
-LightKind = Literal["hdr", "sun_sky", "studio", "directional", "ambient", "lobes"]
+LightKind = Literal["hdr", "sun_sky", "studio", "directional", "ambient", "lobes", "fitted"]
 
 
 @dataclass(frozen=True)
@@ -21,6 +22,8 @@ class LightSpec:
         directional: one to three lamps up to 85 degrees from the viewer's direction, over a dim dome.
         ambient: a dome without a direction but for a vertical gradient.
         lobes: soft lobes over a dome (``sh.priors``).
+        fitted: soft lights as photographs have them (``scene.fitted_light``).
+        mixture: file that `sfsnet-dr fit-lights` wrote, to draw those from; left out, the package's own.
         environments: folder of environment maps (.exr, .hdr).
         exposure: range of the luminance of a white face's mean shading, spread evenly in its logarithm.
         white_balance: range of the share of the light's tint that the camera's white balance takes away.
@@ -35,6 +38,8 @@ class LightSpec:
     environments: str | None = None
     exposure: tuple[float, float] = (0.5, 1.2)
     white_balance: tuple[float, float] = (0.6, 1.0)
+    fitted: float = added(0.0)
+    mixture: str | None = added(None)
 
     def weights(self) -> dict[LightKind, float]:
         """Kinds with a weight above 0 that can be drawn.
@@ -49,6 +54,7 @@ class LightSpec:
             "directional": self.directional,
             "ambient": self.ambient,
             "lobes": self.lobes,
+            "fitted": self.fitted,
         }
         chosen = {kind: weight for kind, weight in every.items() if weight > 0}
         if not chosen:
@@ -57,7 +63,7 @@ class LightSpec:
 
     def limits(self) -> dict[str, tuple[float, float, float]]:
         """Value and allowed range of every number, by key."""
-        names = ("hdr", "sun_sky", "studio", "directional", "ambient", "lobes")
+        names = ("hdr", "sun_sky", "studio", "directional", "ambient", "lobes", "fitted")
         found = {name: (float(getattr(self, name)), 0.0, 1e6) for name in names}
         found |= {f"exposure[{k}]": (value, 0.01, 10.0) for k, value in enumerate(self.exposure)}
         return found | {
