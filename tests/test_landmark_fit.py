@@ -53,7 +53,7 @@ def marks(model: FaceModes, faces: Placement) -> Array:
 def turned_apart(found: Placement, truth: Placement) -> Array:
     """Degrees between rotations."""
     between = Rotation.from_matrix(found.rotation) * Rotation.from_matrix(truth.rotation).inv()
-    return np.degrees(between.magnitude())
+    return np.asarray(np.degrees(between.magnitude()))
 
 
 def surfaces_apart(model: FaceModes, found: Placement, truth: Placement) -> Array:

@@ -87,7 +87,7 @@ def fit_landmarks(model: FaceModes, landmarks: npt.ArrayLike) -> Placement:
     """
     target = np.asarray(landmarks, np.float64)
     check_shape("landmarks", target, f"B {COUNT} 2")
-    seen = np.isfinite(target).all(axis=-1)
+    seen = np.asarray(np.isfinite(target).all(axis=-1))
     if (seen.sum(axis=-1) < _FEWEST).any():
         raise BadInput(f"landmarks: {int(seen.sum(-1).min())} of a face found, {_FEWEST} at least are needed")
     problem = _Problem(model, np.where(seen[..., None], target - marking_offsets(), 0.0), seen / SIGMA**2)
@@ -185,7 +185,8 @@ class _Problem:
     def _in_camera(self, points: Array) -> Array:
         turned = np.einsum("bxy,b...y->b...x", self.rotation * self.scale[:, None, None], points)
         extra = (1,) * (points.ndim - 2)
-        return turned + np.pad(self.shift, ((0, 0), (0, 1))).reshape(len(self.shift), *extra, 3)
+        shift = np.pad(self.shift, ((0, 0), (0, 1))).reshape(len(self.shift), *extra, 3)
+        return np.asarray(turned + shift)
 
     def _residual(self, points: Array) -> Array:
         return (self.target - self._seen(points)) * (self.precision > 0)[..., None]

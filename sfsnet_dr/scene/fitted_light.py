@@ -78,7 +78,7 @@ def _root() -> Array:
     """(9, 9) R with |R d|^2 the mean square over visible normals of a difference of shading d."""
     normals = icosphere(3)
     visible = normals[normals[:, 2] >= np.cos(np.radians(VISIBLE))]
-    return np.linalg.qr(sh_basis(visible, LIGHT_ORDER) / np.sqrt(len(visible)), mode="r")
+    return np.asarray(np.linalg.qr(sh_basis(visible, LIGHT_ORDER) / np.sqrt(len(visible)), mode="r"))
 
 
 @cache
