@@ -153,8 +153,8 @@ def test_a_step_of_two_is_the_step_of_one(tmp_path: Path, monkeypatch: pytest.Mo
 def test_two_processes_give_the_result_of_one(tmp_path: Path) -> None:
     """Rendered and real faces, masks of different sizes in both halves, batch normalisation over both.
 
-    In exact arithmetic both are the same. Adam divides by the gradient's size, so that rounding grows with the
-    steps where a gradient is 0 but for rounding.
+    In exact arithmetic both are the same. Adam divides by the gradient's size, so that rounding grows with
+    the steps where a gradient is 0 but for rounding.
     """
     faces, labels = write_spheres(tmp_path / "faces", 3), write_labels(tmp_path / "labels")
     train(RECIPE, faces, tmp_path / "one", labels=labels, progress=False)
