@@ -131,7 +131,7 @@ def test_a_light_that_exists_stays_and_others_move_little() -> None:
 
 def test_the_package_has_a_mixture_of_many_photographs() -> None:
     own = read_mixture()
-    assert own.source["photographs"] >= 1000
+    assert own.source["photographs"] >= 3000
     drawn = own.draw(np.random.default_rng(0), 2000)
     level = (drawn.reshape(-1, 3, 9) @ np.asarray(own_levels())) @ LUMINANCE
     assert np.median(level) == pytest.approx(1.0, abs=0.05)
