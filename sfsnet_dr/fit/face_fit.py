@@ -69,6 +69,7 @@ def fit_face(
     model: FaceModes,
     shown: Array | None = None,
     ridge: float = RIDGE,
+    robust: bool = True,
 ) -> FaceFit:
     """Fit one photograph.
 
@@ -78,7 +79,7 @@ def fit_face(
         model: of ``scene.face_modes.load_face_modes``.
         shown: share of each pixel that counts, (128, 128): the photograph's own mask, say. Left out, the skin
             that whole landmarks outline, else all that the model covers.
-        ridge: of the light.
+        ridge, robust: of the light; see ``fit.light_fit``.
 
     Raises:
         BadInput: for other shapes, too few landmarks, or a face of which too little is shown.
@@ -89,7 +90,7 @@ def fit_face(
     if shown is None:
         whole = bool(np.isfinite(landmarks).all())
         shown = skin_mask(landmarks).astype(np.float64) if whole else np.ones((FACE_SIZE, FACE_SIZE))
-    return explain(photograph, model, placement, 0, shown, ridge)
+    return explain(photograph, model, placement, 0, shown, ridge, robust)
 
 
 def explain(
@@ -99,13 +100,14 @@ def explain(
     index: int,
     shown: Array,
     ridge: float = RIDGE,
+    robust: bool = True,
 ) -> FaceFit:
     """The maps and the light of one fitted face of a batch; arguments as of ``fit_face``."""
     maps = face_maps(model, placement, index)
     clear = (np.asarray(photograph).max(axis=-1) < CLIPPED) & (maps.bare > 0.5)
     if not clear.any():
         raise BadInput("photograph: no skin of the fitted face is shown unclipped")
-    found = fit_light(maps.normal, photograph, shown * clear, MEAN_SKIN, ridge)
+    found = fit_light(maps.normal, photograph, shown * clear, MEAN_SKIN, ridge, robust)
     return FaceFit(
         maps.normal,
         maps.mask * shown,

@@ -68,9 +68,19 @@ class LightFit:
 
 
 def fit_light(
-    normal: Array, image: Array, mask: Array, albedo: npt.ArrayLike = MEAN_SKIN, ridge: float = RIDGE
+    normal: Array,
+    image: Array,
+    mask: Array,
+    albedo: npt.ArrayLike = MEAN_SKIN,
+    ridge: float = RIDGE,
+    robust: bool = True,
 ) -> LightFit:
     """Fit the light of one face.
+
+    Under one lamp from beside or behind most of a face is dark, and robust weights give up what is lit. On
+    the development subjects of Extended Yale B the linear part then points 54 degrees away from lamps beyond
+    77 degrees, by least squares 17; up to 77 degrees 12 to 15, against 11 to 12. Usual photographs have no
+    such light, but gloss, hair and glasses.
 
     Args:
         normal: unit normals (H, W, 3); read where the mask is above 0.
@@ -78,6 +88,7 @@ def fit_light(
         mask: share of each pixel that counts, (H, W) in [0, 1]; leave clipped pixels out.
         albedo: linear, (3,) or (H, W, 3), above 0.
         ridge: see above; relative to the data's own weight.
+        robust: whether pixels lose weight that do not fit; least squares otherwise.
 
     Raises:
         BadInput: for other shapes, values that are not finite, or a mask of fewer than 50 pixels.
@@ -95,7 +106,7 @@ def fit_light(
             "fit_light: NaN, inf or an albedo of 0 found, finite pixels and albedos above 0 needed"
         )
     basis = sh_basis(normal[rows], LIGHT_ORDER)
-    light, weights = _robust(basis, seen, tone, share, ridge)
+    light, weights = _weighted_fit(basis, seen, tone, share, ridge, robust)
     distance = _distance(basis, seen, tone, light)
     level = max(float(np.median(np.linalg.norm(seen, axis=1))), 1e-12)
     picture = np.zeros(mask.shape)
@@ -116,13 +127,15 @@ def _stiffness() -> Array:
     return np.asarray(np.linalg.inv(lights.T @ lights / len(lights)))
 
 
-def _robust(basis: Array, image: Array, tone: Array, share: Array, ridge: float) -> tuple[Array, Array]:
+def _weighted_fit(
+    basis: Array, image: Array, tone: Array, share: Array, ridge: float, robust: bool
+) -> tuple[Array, Array]:
     """Coefficients (9, 3) and the weights (N,) that they were found with."""
     shading, share = image / tone, share * (tone**2).sum(axis=1)
     least = _LEAST_SPREAD * float(np.quantile(np.linalg.norm(image, axis=1), 0.75))
     weights = np.ones(len(basis))
     light = _ridge_fit(basis, shading, share, ridge)
-    for step in range(_HUBER_STEPS + _TUKEY_STEPS):
+    for step in range(_HUBER_STEPS + _TUKEY_STEPS if robust else 0):
         distance = _distance(basis, image, tone, light)
         spread = max(1.4826 * float(np.median(distance)), least, 1e-9)
         if step < _HUBER_STEPS:
