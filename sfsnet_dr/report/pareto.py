@@ -9,6 +9,7 @@ from typing import Any
 import matplotlib
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 
 from sfsnet_dr.report.figures import INK, PALETTE, SOFT, STYLE, plain_log, png, spread
 
@@ -112,12 +113,13 @@ def _labels(axis: Any, colours: Mapping[str, str]) -> None:
         chosen = [k for k, (x, _) in enumerate(places) if (x > 0.5) == column]
         heights = spread([float(places[k][1]) for k in chosen], 0.045)
         right = max((float(places[k][0]) for k in chosen), default=0.0)
+        halo = [withStroke(linewidth=3, foreground="white")]  # the front may run behind a label
         for k, height in zip(chosen, heights, strict=True):
             name, point = merged[k]
             x = float(places[k][0]) if column else right
             axis.annotate(
                 name, (point.seconds, point.error), xytext=(x + 0.04, height), textcoords=axis.transAxes,
-                size=8.5, color=colours[point.group], va="center",
+                size=8.5, color=colours[point.group], va="center", path_effects=halo,
                 arrowprops=_LEADER | {"color": colours[point.group]},
             )  # fmt: skip
 
