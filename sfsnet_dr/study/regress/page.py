@@ -12,12 +12,12 @@ from sfsnet_dr.study.regress.matrix import Row
 from sfsnet_dr.study.regress.plant import Found
 from sfsnet_dr.study.regress.spec import RegressSpec
 
-#: A word and a sign, so that nothing hangs on colour.
+#: Words, loud where somebody must look: nothing hangs on colours or on signs that a font may lack.
 MARKS: Final = {
-    "agrees": "\U0001f7e9 agrees",
-    "differs": "\U0001f7e5 DIFFERS",
-    "failed": "\U0001f7e5 FAILED",
-    "not installed": "\u2b1c not installed",
+    "agrees": "agrees",
+    "differs": "DIFFERS",
+    "failed": "FAILED",
+    "not installed": "not installed",
 }
 
 _SCALES = {
@@ -65,7 +65,7 @@ def planted_section(found: Sequence[Found], spec: RegressSpec) -> Section:
         [
             item.defect.words,
             item.host,
-            "\U0001f7e9 seen" if item.caught else "\U0001f7e5 NOT SEEN",
+            "seen" if item.caught else "NOT SEEN",
             f"{len(item.seen)} of {item.tried}",
             _size(item),
             item.cause,
@@ -121,7 +121,7 @@ def _overview(rows: Sequence[Row]) -> Table:
     lines = []
     for name in _names(rows, "renderer"):
         marks = [MARKS[cells[name, *place].verdict] if (name, *place) in cells else "" for place in places]
-        lines.append([name, *marks])
+        lines.append([_unbroken(name), *marks])
     return Table(
         ["renderer", *(f"{scene}, {light}" for scene, light in places)],
         lines,
@@ -174,12 +174,12 @@ def _table(rows: Sequence[Row], scene: str) -> Table:
         if row.scene != scene:
             continue
         if row.agreement is None:
-            lines.append([row.renderer, row.light, MARKS[row.verdict], row.detail, "", "", "", ""])
+            lines.append([_unbroken(row.renderer), row.light, MARKS[row.verdict], row.detail, "", "", "", ""])
             continue
         worst = row.agreement.worst
         lines.append(
             [
-                row.renderer,
+                _unbroken(row.renderer),
                 row.light,
                 MARKS[row.verdict],
                 row.detail,
@@ -219,6 +219,10 @@ def _size(found: Found) -> str:
         return "\u2013"
     unit = found.defect.unit
     return f"{100 * found.smallest:.2g} %" if unit == "1" else f"{found.smallest:.2g} {unit}"
+
+
+def _unbroken(name: str) -> str:
+    return name.replace("-", "\u2011")
 
 
 def _names(rows: Sequence[Row], field: str) -> list[str]:
