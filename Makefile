@@ -30,7 +30,7 @@ train: $(READY)
 	  $(if $(PHOTOGRAPHS),--photographs $(PHOTOGRAPHS),--rendered-photographs) \
 	  $(if $(DATA),--data $(DATA)) $(if $(ENVIRONMENTS),--environments $(ENVIRONMENTS))
 
-# All validation scenes, and the stored results that README quotes; about half an hour on 2 cores.
+# All validation scenes, and the stored results that README quotes; about three quarters of an hour on 2 cores.
 validation: $(READY)
 	$(BIN)/sfsnet-dr validate --scene all --out out/validation
 	cp out/validation/records.json eval/results/validate.json

@@ -37,10 +37,15 @@ def backward(form: Form, total: Tensor, arguments: Inputs) -> list[Tensor]:
         return list(torch.autograd.grad(total, arguments[:3]))
 
 
+def numbers(form: Form, arguments: Inputs) -> list[Tensor]:
+    """``forward`` and its ``backward``."""
+    total = forward(form, arguments)
+    return [total.detach(), *backward(form, total, arguments)]
+
+
 def digest(form: Form, arguments: Inputs) -> str:
     """A name for all bits of value and gradients."""
-    total = forward(form, arguments)
-    return bits(total, *backward(form, total, arguments))
+    return bits(*numbers(form, arguments))
 
 
 def bits(*tensors: Tensor) -> str:
