@@ -189,7 +189,7 @@ class Run:
             self._board.add(values["step"], values)
 
     def _tell(self, text: str) -> None:
-        self._screen.print(text, style="yellow", soft_wrap=True)
+        self._screen.print(text, style="yellow", soft_wrap=True, markup=False)
 
     def _unwritable(self, path: Path, error: Exception) -> WorkFailed:
         reason = " ".join(str(error).split())

@@ -173,7 +173,7 @@ def _checkout(root: Path | str) -> Path:
 def _doctor(screen: Console) -> Report:
     screen.rule("1/6  Does the renderer start?", align="left")
     report = diagnose()
-    screen.print(report.to_text(), highlight=False)
+    screen.print(report.to_text(), highlight=False, markup=False)
     if not report.ok:
         failed = next(check for check in report.checks if not check.ok)
         raise WorkFailed(f"doctor: {failed.name}: {failed.detail}")
