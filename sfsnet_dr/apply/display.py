@@ -22,6 +22,12 @@ def show_linear(image: Array) -> Pixels:
     return _quantise(color.linear_to_srgb(np.clip(image, 0.0, 1.0)))
 
 
+def show_albedo(albedo: Array, mask: Array) -> Pixels:
+    """Albedo (H, W, 3) known up to a factor: all but the brightest 2 % of the masked pixels lie below 0.8."""
+    top = float(np.quantile(albedo[mask > 0.5], 0.98))
+    return show_linear(0.8 * albedo / max(top, 1e-6))
+
+
 def show_encoded(image: Array) -> Pixels:
     """Numbers (H, W, 3) that are sRGB-encoded already, as they are; values outside 0..1 are clipped."""
     check_shape("image", image, "H W 3")

@@ -9,7 +9,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from sfsnet_dr.commands.faces import Synth, render_faces
-from sfsnet_dr.commands.result import Json, Out, Result, command_line, of_records
+from sfsnet_dr.commands.result import FaceFolders, Json, Out, Result, command_line, of_records
 
 
 @dataclass(frozen=True)
@@ -27,9 +27,7 @@ class Train:
         Annotated[Path, arg(metavar="RECIPE", help="Recipe (TOML); its head says what it costs.")]
     ]
     out: Out
-    data: Annotated[
-        tuple[Path, ...], arg(metavar="DIR", help="Folders that `sfsnet-dr synth` wrote, one or more.")
-    ] = ()
+    data: FaceFolders = ()
     faces: Annotated[int, arg(help="Faces to render where --data is not given.")] = 24
     scene: Annotated[
         Path | None, arg(metavar="FILE", help="Their scene (TOML); left out, that of scenes/faces.toml.")

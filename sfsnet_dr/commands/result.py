@@ -18,6 +18,9 @@ Json = Annotated[
     bool, arg(name="json", help="Print a JSON array of records on standard output, nothing else.")
 ]
 Out = Annotated[Path, arg(metavar="DIR", help="Folder for the results; made if it is missing.")]
+FaceFolders = Annotated[
+    tuple[Path, ...], arg(metavar="DIR", help="Folders that `sfsnet-dr synth` wrote, one or more.")
+]
 
 
 @dataclass(frozen=True)

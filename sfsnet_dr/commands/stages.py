@@ -8,7 +8,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from sfsnet_dr.commands.result import Json, Out, Result, command_line, of_records
+from sfsnet_dr.commands.result import FaceFolders, Json, Out, Result, command_line, of_records
 
 
 @dataclass(frozen=True)
@@ -27,9 +27,7 @@ class Stages:
         Annotated[Path, arg(metavar="FILE", help="Set of stages (TOML); its head says what it costs.")]
     ]
     out: Out
-    data: Annotated[
-        tuple[Path, ...], arg(metavar="DIR", help="Folders that `sfsnet-dr synth` wrote, one or more.")
-    ] = ()
+    data: FaceFolders = ()
     photographs: Annotated[Path | None, arg(metavar="DIR", help="Folder of photographs with landmarks.")] = (
         None
     )

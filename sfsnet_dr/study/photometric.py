@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from sfsnet_dr.apply.display import on_white, show_linear, show_normals
+from sfsnet_dr.apply.display import on_white, show_albedo, show_linear, show_normals
 from sfsnet_dr.base.atomic import output_dir
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.data.listing import FacePhoto, Listing, read_face
@@ -135,11 +135,10 @@ def surface_sheet(labels: Sequence[SurfaceLabels], most: int = 12) -> bytes:
         mask = face.mask[0].numpy()
         albedo = face.albedo.expand(3, -1, -1).permute(1, 2, 0).double().numpy()
         normal = face.normal.permute(1, 2, 0).double().numpy()
-        top = float(np.quantile(albedo[mask > 0.5], 0.98))
         sure = np.repeat(face.confidence[0].numpy()[..., None], 3, 2)
         pictures = {
             "normals": show_normals(normal),
-            "albedo": show_linear(0.8 * albedo / max(top, 1e-6)),
+            "albedo": show_albedo(albedo, mask),
             "confidence": show_linear(sure),
         }
         cells += [(f"{face.name}: {what}", on_white(picture, mask)) for what, picture in pictures.items()]

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 import torch
 
-from sfsnet_dr.apply.display import on_white, sheet, show_linear, show_normals
+from sfsnet_dr.apply.display import on_white, sheet, show_albedo, show_linear, show_normals
 from sfsnet_dr.apply.methods import FlatNormals, MeanNormals, Method, NetworkMethod
 from sfsnet_dr.base.atomic import output_dir, write_text
 from sfsnet_dr.base.checks import BadInput
@@ -154,10 +154,9 @@ def _pictures(faces: Sequence[SurfaceLabels], methods: Sequence[Method]) -> byte
             normal, albedo, drawn = (
                 _picture(part[0]) for part in (answer.normal, answer.albedo, answer.image)
             )
-            top = float(np.quantile(albedo[mask > 0.5], 0.98))
             shown = {
                 "normals": show_normals(normal),
-                "albedo": show_linear(0.8 * albedo / max(top, 1e-6)),
+                "albedo": show_albedo(albedo, mask),
                 "reconstruction": show_linear(drawn),
             }
             cells += [(f"{method.name}: {what}", on_white(part, mask)) for what, part in shown.items()]
