@@ -8,7 +8,14 @@ import torch
 
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.base.color import LUMINANCE
-from sfsnet_dr.data.photo_effects import READ_NOISE, PhotoEffects, PhotoOptions, photograph, sample_effects
+from sfsnet_dr.data.photo_effects import (
+    READ_NOISE,
+    PhotoEffects,
+    PhotoOptions,
+    frames,
+    photograph,
+    sample_effects,
+)
 
 PLAIN = PhotoEffects(gain=np.ones(3), blur=0.0, noise=0.0, quality=None, grey=False, seed=0)
 
@@ -118,3 +125,36 @@ def test_bad_options(values: dict[str, float], words: str) -> None:
 def test_shapes_that_do_not_fit() -> None:
     with pytest.raises(BadInput, match="images"):
         photograph(image(), torch.ones(1, 1, 64, 64), torch.zeros(1, 3, 64, 64), [PLAIN, PLAIN])
+
+
+@pytest.mark.parametrize("repeated", [True, False])
+def test_a_photograph_may_end_within_the_frame(repeated: bool) -> None:
+    effects = replace(PLAIN, frame=(0.25, 0.125, 0.75, 1.0), repeated=repeated)
+    got, whole = take(effects), image()
+    inside = frames([effects, PLAIN], 64, 64)
+    expected = torch.zeros(64, 64)
+    expected[8:, 16:48] = 1
+    assert torch.equal(inside[0, 0], expected)
+    assert inside[1].min() == 1
+    assert torch.equal(got * expected, whole * expected)
+    corner = whole[..., 8, 16] if repeated else torch.zeros(1, 3)
+    assert torch.equal(got[..., 0, 0], corner)
+    assert torch.equal(got[..., 40, 63], whole[..., 40, 47] if repeated else torch.zeros(1, 3))
+
+
+def test_a_share_of_photographs_is_cropped_and_the_rest_is_as_without() -> None:
+    def draw(cropped: float) -> list[PhotoEffects]:
+        options = PhotoOptions(cropped=cropped)
+        return [sample_effects(np.random.default_rng(seed), options) for seed in range(400)]
+
+    some, none = draw(0.5), draw(0.0)
+    share = np.mean([effect.frame is not None for effect in some])
+    assert share == pytest.approx(0.5, abs=0.1)  # four times the deviation of a share of 400
+    assert all(effect.frame is None for effect in none)
+    assert all(np.array_equal(a.gain, b.gain) and a.seed == b.seed for a, b in zip(some, none, strict=True))
+    for effect in some:
+        left, top, right, bottom = effect.frame or (0.0, 0.0, 1.0, 1.0)
+        assert 0 <= left <= 0.27
+        assert 0 <= top <= 0.26
+        assert 0.73 <= right <= 1
+        assert 0.78 <= bottom <= 1

@@ -24,7 +24,7 @@ from sfsnet_dr.data.flip import flip_map, flip_normal, x_parity
 from sfsnet_dr.data.light_bank import LightBank, draw_bank
 from sfsnet_dr.data.lighting import Lighting, light_faces
 from sfsnet_dr.data.manifest import NAME, Entry, Manifest
-from sfsnet_dr.data.photo_effects import PhotoEffects, photograph, sample_effects
+from sfsnet_dr.data.photo_effects import PhotoEffects, frames, photograph, sample_effects
 from sfsnet_dr.data.relight import relight_batch
 from sfsnet_dr.scene.lights import MAP_ORDER
 from sfsnet_dr.sh.basis import sh_basis
@@ -231,6 +231,7 @@ class RelitFaces:
         )
         normal = _renormalised(_reflected(normal, mirrored, flip_normal))
         image = photograph(image, coverage, behind, effects)
+        mask = mask * frames(effects, *pixels).to(mask.device)
         albedo, light = _as_seen(albedo, lighting.label, effects)
         return FaceBatch(image, normal, albedo, light.to(image.device), mask)
 

@@ -1,4 +1,4 @@
-"""From the linear image of a face to a photograph of it: background, lens, exposure, sensor, JPEG.
+"""From the linear image of a face to a photograph of it: background, lens, exposure, sensor, frame, JPEG.
 
 The steps have the order of a camera's. What they take is drawn first (``sample_effects``), so that a
 photograph can be made again and its light label can follow: exposure and white balance multiply the light.
@@ -19,10 +19,15 @@ from torch.nn import functional
 from sfsnet_dr.base.checks import BadInput, check_shape
 from sfsnet_dr.base.color import LUMINANCE
 from sfsnet_dr.base.color_torch import linear_to_srgb, srgb_to_linear
+from sfsnet_dr.base.config import added
 from sfsnet_dr.data.jpeg import compress
 
 #: Share of white's signal that is added to the signal before shot noise is drawn: the read noise.
 READ_NOISE: Final = 0.02
+
+#: Where a photograph may end within the canonical frame: greatest depth from the left, top, right and bottom,
+#: in shares of the frame. Databases of cropped faces keep little more than brows, cheeks and mouth.
+DEEPEST_CROP: Final = (0.27, 0.26, 0.27, 0.22)
 
 #: Blur, pixels, below which the neighbours' weights are smaller than float32's rounding.
 _SHARP: Final = 0.05
@@ -40,6 +45,8 @@ class PhotoOptions:
         jpeg: share of images that went through a JPEG file.
         quality: range of its quality.
         grey: share of images without colour.
+        cropped: share of images that end within the frame, as tightly cropped photographs do; beyond their
+            border it is repeated or black.
 
     Raises:
         BadInput: for values out of range.
@@ -52,12 +59,13 @@ class PhotoOptions:
     jpeg: float = 0.5
     quality: tuple[int, int] = (50, 98)
     grey: float = 0.1
+    cropped: float = added(0.0)
 
     def __post_init__(self) -> None:
         for name in ("exposure", "white_balance", "blur", "noise"):
             if not getattr(self, name) >= 0:
                 raise BadInput(f"{name}: {getattr(self, name)} found, 0 or more is needed")
-        for name in ("jpeg", "grey"):
+        for name in ("jpeg", "grey", "cropped"):
             if not 0 <= getattr(self, name) <= 1:
                 raise BadInput(f"{name}: {getattr(self, name)} found, a probability from 0 to 1 is needed")
         if not 1 <= self.quality[0] <= self.quality[1] <= 100:
@@ -77,6 +85,9 @@ class PhotoEffects:
         quality: of the JPEG file, or None.
         grey: whether the image has no colour: every channel is its luminance.
         seed: of the noise.
+        frame: first and last (exclusive) column and row that the photograph has, as shares (left, top, right,
+            bottom) of the frame; None for all.
+        repeated: whether the border is repeated beyond, else it is black.
     """
 
     gain: NDArray[np.float64]
@@ -85,6 +96,8 @@ class PhotoEffects:
     quality: int | None
     grey: bool
     seed: int
+    frame: tuple[float, float, float, float] | None = None
+    repeated: bool = True
 
 
 def sample_effects(rng: np.random.Generator, options: PhotoOptions) -> PhotoEffects:
@@ -95,6 +108,7 @@ def sample_effects(rng: np.random.Generator, options: PhotoOptions) -> PhotoEffe
     noise = rng.uniform(0.0, options.noise)
     compressed, quality = rng.random() < options.jpeg, int(rng.integers(*options.quality, endpoint=True))
     grey, seed = rng.random() < options.grey, int(rng.integers(2**32))
+    frame, repeated = _sample_frame(rng, options.cropped) if options.cropped else (None, True)
     return PhotoEffects(
         gain=2.0**stops,
         blur=float(blur) if blurred else 0.0,
@@ -102,7 +116,18 @@ def sample_effects(rng: np.random.Generator, options: PhotoOptions) -> PhotoEffe
         quality=quality if compressed else None,
         grey=bool(grey),
         seed=seed,
+        frame=frame,
+        repeated=repeated,
     )
+
+
+def _sample_frame(
+    rng: np.random.Generator, share: float
+) -> tuple[tuple[float, float, float, float] | None, bool]:
+    """Where a photograph ends, and whether its border is repeated; each side is cut in half of them."""
+    chosen, repeated = rng.random() < share, rng.random() < 0.5
+    left, top, right, bottom = rng.uniform(0.0, DEEPEST_CROP) * (rng.random(4) < 0.5)
+    return ((left, top, 1 - right, 1 - bottom) if chosen else None), bool(repeated)
 
 
 def photograph(images: Tensor, coverage: Tensor, behind: Tensor, effects: Sequence[PhotoEffects]) -> Tensor:
@@ -131,11 +156,37 @@ def photograph(images: Tensor, coverage: Tensor, behind: Tensor, effects: Sequen
     if len(grey):
         weights = developed.new_tensor(LUMINANCE)[:, None, None]
         developed[grey] = (developed[grey] * weights).sum(1, keepdim=True).expand(-1, 3, -1, -1)
+    for k, effect in enumerate(effects):
+        if effect.frame is not None:
+            developed[k] = _framed(developed[k], effect.frame, effect.repeated)
     filed = _chosen(developed, [effect.quality is not None for effect in effects])
     if len(filed):
         qualities = [effect.quality for effect in effects if effect.quality is not None]
         developed[filed] = srgb_to_linear(compress(linear_to_srgb(developed[filed]), qualities))
     return developed
+
+
+def frames(effects: Sequence[PhotoEffects], height: int, width: int) -> Tensor:
+    """1 where photographs have pixels and 0 beyond their borders, (B, 1, H, W)."""
+    inside = torch.ones(len(effects), 1, height, width)
+    for k, effect in enumerate(effects):
+        if effect.frame is not None:
+            inside[k] = _framed(inside[k], effect.frame, repeated=False)
+    return inside
+
+
+def _framed(image: Tensor, frame: tuple[float, float, float, float], repeated: bool) -> Tensor:
+    """An image (C, H, W) that ends where ``frame`` says."""
+    height, width = image.shape[-2:]
+    left, right = round(frame[0] * width), round(frame[2] * width)
+    top, bottom = round(frame[1] * height), round(frame[3] * height)
+    if repeated:
+        rows = torch.arange(height, device=image.device).clamp(top, bottom - 1)
+        columns = torch.arange(width, device=image.device).clamp(left, right - 1)
+        return image[:, rows][:, :, columns]
+    black = torch.zeros_like(image)
+    black[:, top:bottom, left:right] = image[:, top:bottom, left:right]
+    return black
 
 
 def _chosen(images: Tensor, wanted: Sequence[bool]) -> Tensor:
