@@ -39,6 +39,10 @@ class Train:
     labels: Annotated[
         Path | None, arg(metavar="DIR", help="Photographs that `sfsnet-dr pseudo-label` labelled.")
     ] = None
+    start: Annotated[
+        Path | None,
+        arg(metavar="FILE", help="Weights of the same network to begin with, in place of random ones."),
+    ] = None
     resume: Annotated[bool, arg(help="Go on from the last checkpoint in --out.")] = False
     tensorboard: Annotated[bool, arg(help="Write for TensorBoard too, into OUT/tensorboard.")] = False
     as_json: Json = False
@@ -57,7 +61,13 @@ class Train:
             wanted = Synth(data[0], self.faces, scene=self.scene, resume=True)
             render_faces(wanted.spec(), wanted)
         result = train(
-            recipe, data, self.out, labels=self.labels, resume=self.resume, tensorboard=self.tensorboard
+            recipe,
+            data,
+            self.out,
+            labels=self.labels,
+            resume=self.resume,
+            tensorboard=self.tensorboard,
+            start=self.start,
         )
         records = [
             measured(f"train.loss.{dotted(term)}", value, "1", command=command_line(), seed=recipe.seed)

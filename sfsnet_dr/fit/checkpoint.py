@@ -39,9 +39,18 @@ class Progress:
 
 
 def save_checkpoint(
-    path: Path, model: nn.Module, adam: torch.optim.Adam, progress: Progress, recipe: Recipe, data: str
+    path: Path,
+    model: nn.Module,
+    adam: torch.optim.Adam,
+    progress: Progress,
+    recipe: Recipe,
+    data: str,
+    start: str | None = None,
 ) -> None:
-    """Write the state, whole or not at all; what the file was stays beside it, see ``previous``."""
+    """Write the state, whole or not at all; what the file was stays beside it, see ``previous``.
+
+    ``start`` is the SHA-256 of the weights that the run began with, if it did not begin with random ones.
+    """
     tensors = {f"model.{name}": tensor for name, tensor in model.state_dict().items()}
     for name, parameter in model.named_parameters():
         for part, tensor in adam.state.get(parameter, {}).items():
@@ -52,6 +61,7 @@ def save_checkpoint(
         "skipped": progress.skipped,
         "recipe": as_dict(recipe),
         "data": data,
+        "start": start,
     }
     plain = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     with atomic_path(path) as partial:
@@ -73,6 +83,7 @@ def load_checkpoint(
     adam: torch.optim.Adam,
     recipe: Recipe,
     data: str,
+    start: str | None = None,
     tell: Callable[[str], object] = lambda _: None,
 ) -> Progress:
     """Put a saved state into a network and its optimiser, both freshly made from the same recipe.
@@ -80,7 +91,8 @@ def load_checkpoint(
     Where the file is damaged, the one before it is taken and ``tell`` is told.
 
     Raises:
-        BadInput: if there is no checkpoint, or it is of another recipe, other data or another format.
+        BadInput: if there is no checkpoint, or it is of another recipe, other data, another start or another
+            format.
     """
     if not path.is_file():
         raise BadInput(f"{path}: no checkpoint to resume from; start without --resume")
@@ -93,7 +105,7 @@ def load_checkpoint(
         header, tensors = _read(previous(path))
     if header.get("format") != FORMAT:
         raise BadInput(f"{path}: {header.get('format')} found in its header, {FORMAT} expected")
-    _check_same(path, header, recipe, data)
+    _check_same(path, header, recipe, data, start)
     model.load_state_dict(_part(tensors, "model."))
     for name, parameter in model.named_parameters():
         adam.state[parameter] = _adam_state(tensors, name, parameter)
@@ -122,16 +134,25 @@ def _adam_state(tensors: dict[str, Tensor], name: str, parameter: Tensor) -> dic
     }
 
 
-def _check_same(path: Path, header: dict[str, Any], recipe: Recipe, data: str) -> None:
+def _check_same(path: Path, header: dict[str, Any], recipe: Recipe, data: str, start: str | None) -> None:
     if header["data"] != data:
         raise BadInput(
             f"{path}: trained on other bundles or environment maps; resume with the same, or choose another "
             "--out"
         )
+    if header.get("start") != start:
+        raise BadInput(
+            f"{path}: begun with {_weights(header.get('start'))}, {_weights(start)} given; resume with the "
+            "same --start"
+        )
     for where, found, wanted in differences(header["recipe"], as_dict(recipe)):
         raise BadInput(
             f"{path}: recipe with {where} = {found!r} found, {wanted!r} asked for; use the same recipe"
         )
+
+
+def _weights(digest: str | None) -> str:
+    return "random weights" if digest is None else f"weights of SHA-256 {digest[:12]}"
 
 
 def differences(a: Any, b: Any, where: str = "") -> list[tuple[str, Any, Any]]:

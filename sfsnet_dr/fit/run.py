@@ -13,6 +13,7 @@ from safetensors import SafetensorError
 
 from sfsnet_dr.base.checks import WorkFailed
 from sfsnet_dr.base.config import as_dict
+from sfsnet_dr.base.provenance import sha256
 from sfsnet_dr.data.dataset import RelitFaces
 from sfsnet_dr.data.mixture import MixedFaces
 from sfsnet_dr.fit.board import Board
@@ -23,7 +24,7 @@ from sfsnet_dr.fit.pictures import write_pictures
 from sfsnet_dr.fit.recipe import Recipe
 from sfsnet_dr.fit.step import NotFinite, training_step
 from sfsnet_dr.fit.team import Team
-from sfsnet_dr.model.weights import save_weights
+from sfsnet_dr.model.weights import copy_weights, save_weights
 
 #: Files of a run's folder.
 WEIGHTS: Final = "weights.safetensors"
@@ -70,6 +71,10 @@ class Run:
         resume: go on from the checkpoint in the folder.
         team: the processes that train together.
         tensorboard: write for TensorBoard too.
+        start: weights to begin with in place of random ones.
+
+    Raises:
+        BadInput: for unusable weights, those of another network, or a checkpoint of another run.
     """
 
     def __init__(
@@ -81,11 +86,15 @@ class Run:
         resume: bool,
         team: Team,
         tensorboard: bool,
+        start: Path | None = None,
     ) -> None:
         self.recipe, self.folder, self.batches, self.team = recipe, folder, batches, team
         self.data = batches.fingerprint
         self.watch = Watch()
         self.model = recipe.make_model()
+        self.start = None if start is None else sha256(start)
+        if start is not None and not resume:
+            copy_weights(start, self.model)
         team.prepare(self.model)
         layout = torch.channels_last if recipe.compute.channels_last else torch.contiguous_format
         self.model.to(memory_format=layout)  # type: ignore[call-overload]
@@ -95,7 +104,9 @@ class Run:
         self._screen = Console(stderr=True, quiet=not team.leads)
         if resume:
             checkpoint = folder / CHECKPOINT
-            self.done = load_checkpoint(checkpoint, self.model, self.adam, recipe, self.data, tell=self._tell)
+            self.done = load_checkpoint(
+                checkpoint, self.model, self.adam, recipe, self.data, self.start, tell=self._tell
+            )
             self._look_back()
         self._board = Board(folder, self.done.step) if tensorboard and team.leads else None
         team.wait()  # all have read what the leading one is about to change
@@ -159,7 +170,7 @@ class Run:
             return
         path = self.folder / CHECKPOINT
         try:
-            save_checkpoint(path, self.model, self.adam, self.done, self.recipe, self.data)
+            save_checkpoint(path, self.model, self.adam, self.done, self.recipe, self.data, self.start)
         except (OSError, SafetensorError) as error:
             raise self._unwritable(path, error) from error
 
@@ -169,7 +180,7 @@ class Run:
         self.team.wait()
         lines = [line for line in read_history(self.folder / HISTORY) if "skipped" not in line]
         first, final = _means(lines[:WINDOW]), _means(lines[-WINDOW:])
-        metadata = {"recipe": as_dict(self.recipe), "data": self.data, "final": final}
+        metadata = {"recipe": as_dict(self.recipe), "data": self.data, "start": self.start, "final": final}
         path = self.folder / WEIGHTS
         if self.team.leads:
             try:

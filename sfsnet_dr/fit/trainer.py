@@ -33,6 +33,7 @@ def train(
     resume: bool = False,
     progress: bool = True,
     tensorboard: bool = False,
+    start: Path | None = None,
 ) -> TrainResult:
     """Train a network on bundles, relit on the fly.
 
@@ -45,10 +46,11 @@ def train(
             the same bits as a run that was never stopped.
         progress: show a bar with the loss, images a second and the time left.
         tensorboard: write the history for TensorBoard too.
+        start: weights of the same network to begin with; a run that is gone on with needs the same.
 
     Raises:
-        BadInput: for unusable data, an ``out`` that holds a run while ``resume`` is false, or a checkpoint of
-            another recipe or other data.
+        BadInput: for unusable data or weights, an ``out`` that holds a run while ``resume`` is false, or a
+            checkpoint of another recipe, other data or another start.
         WorkFailed: if too many steps were not finite, or SIGTERM came; the checkpoint is saved then.
         KeyboardInterrupt: on SIGINT, with the checkpoint saved.
     """
@@ -59,7 +61,7 @@ def train(
     faces = load_faces(data, recipe.data.size, held_back=recipe.data.held_back)
     with join(recipe.compute.device) as team:
         batches = _batches(recipe, faces, real, folder, team, progress)
-        run = Run(recipe, batches, folder, resume=resume, team=team, tensorboard=tensorboard)
+        run = Run(recipe, batches, folder, resume=resume, team=team, tensorboard=tensorboard, start=start)
         with closing(run), StopRequest() as stop, _bar(progress and team.leads) as bar:
             task = bar.add_task("training", total=recipe.steps, completed=run.done.step, loss="", speed="")
             while run.done.step < recipe.steps:

@@ -89,6 +89,19 @@ def load_weights(path: Path | str) -> Network:
     return model.eval()
 
 
+def copy_weights(path: Path | str, model: Network) -> None:
+    """Put the weights of a file into a network of the same architecture and settings.
+
+    Raises:
+        BadInput: as ``load_weights``, or if the file holds another network.
+    """
+    header, tensors = _read(Path(path))
+    found, wanted = (header["architecture"], header["config"]), (model.architecture, model.config)
+    if found != wanted:
+        raise BadInput(f"{path}: a {_told(*found)} found, a {_told(*wanted)} is to begin with it")
+    _fill(Path(path), model, tensors)
+
+
 def read_metadata(path: Path | str) -> dict[str, Any]:
     """What ``save_weights`` was given as ``metadata``."""
     header, _ = _read(Path(path), header_only=True)
@@ -133,6 +146,10 @@ def _fill(path: Path, model: nn.Module, tensors: dict[str, Tensor]) -> None:
             found, allowed = tuple(tensors[name].shape), tuple(tensor.shape)
             raise BadInput(f"{path}: tensor {name!r} has shape {found}, {allowed} expected")
     model.load_state_dict(tensors)
+
+
+def _told(architecture: str, config: Mapping[str, int]) -> str:
+    return f"{architecture} with {', '.join(f'{key} = {value}' for key, value in sorted(config.items()))}"
 
 
 def _line(error: Exception) -> str:

@@ -1,0 +1,78 @@
+"""Runs that begin with trained weights in place of random ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from spheres import write_spheres
+
+from sfsnet_dr.base.checks import BadInput, WorkFailed
+from sfsnet_dr.base.provenance import sha256
+from sfsnet_dr.data.augment import Augmentation
+from sfsnet_dr.fit.history import read_history
+from sfsnet_dr.fit.recipe import ComputeRecipe, ModelRecipe, Recipe
+from sfsnet_dr.fit.run import CHECKPOINT, HISTORY, WEIGHTS
+from sfsnet_dr.fit.trainer import train
+from sfsnet_dr.model.weights import copy_weights, load_weights, read_metadata
+from sfsnet_dr.scene.light_spec import LightSpec
+
+LIGHT = LightSpec(hdr=0, sun_sky=0, studio=0, directional=1, ambient=0, lobes=1)
+RECIPE = Recipe(
+    steps=4,
+    batch_size=2,
+    checkpoint_every=2,
+    model=ModelRecipe(stem=4, features=8, blocks=1),
+    data=Augmentation(lights=4, light=LIGHT),
+    compute=ComputeRecipe(precision="float32", loss_backend="torch"),
+)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three small spheres."""
+    return write_spheres(tmp_path_factory.mktemp("faces"), 3)
+
+
+@pytest.fixture(scope="module")
+def first(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Weights to begin with."""
+    return train(RECIPE, data, tmp_path_factory.mktemp("first"), progress=False).weights
+
+
+def test_a_run_begins_where_the_other_ended(data: Path, first: Path, tmp_path: Path) -> None:
+    model = RECIPE.make_model()
+    copy_weights(first, model)
+    for name, tensor in load_weights(first).state_dict().items():
+        assert torch.equal(model.state_dict()[name], tensor)
+    train(RECIPE, data, tmp_path, progress=False, start=first)
+    random, begun = (read_history(folder / HISTORY)[0] for folder in (first.parent, tmp_path))
+    assert begun["total"] != random["total"]
+    assert read_metadata(tmp_path / WEIGHTS)["start"] == sha256(first)
+
+
+def test_it_is_gone_on_with_as_if_it_was_never_stopped(
+    data: Path, first: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = train(RECIPE, data, tmp_path / "whole", progress=False, start=first).weights
+    monkeypatch.setattr("sfsnet_dr.fit.run.Run.finish", _stop)
+    with pytest.raises(WorkFailed):
+        train(replace(RECIPE, steps=4), data, tmp_path / "cut", progress=False, start=first)
+    monkeypatch.undo()
+    for other in (None, whole):
+        with pytest.raises(BadInput, match=f"{CHECKPOINT}: begun with weights of SHA-256 .* given; resume"):
+            train(RECIPE, data, tmp_path / "cut", progress=False, resume=True, start=other)
+    again = train(RECIPE, data, tmp_path / "cut", progress=False, resume=True, start=first).weights
+    assert again.read_bytes() == whole.read_bytes()
+
+
+def test_weights_of_another_network_are_refused(data: Path, first: Path, tmp_path: Path) -> None:
+    wider = replace(RECIPE, model=ModelRecipe(stem=8, features=8, blocks=1))
+    with pytest.raises(BadInput, match=r"stem = 4 found, a sfsnet with .*stem = 8 is to begin with it"):
+        train(wider, data, tmp_path, progress=False, start=first)
+
+
+def _stop(_: object) -> None:
+    raise WorkFailed("stopped")
