@@ -21,6 +21,7 @@ from sfsnet_dr.data.pseudo_labels import Values
 from sfsnet_dr.fit.trained import load_trained
 from sfsnet_dr.metrics.image import mae_8bit
 from sfsnet_dr.model.predict import predict
+from sfsnet_dr.model.shipped import weights_path
 from sfsnet_dr.render.shading_numpy import shading
 from sfsnet_dr.sh.coefficients import Shading
 
@@ -40,7 +41,7 @@ def decompose(
     Args:
         images: at least one, with different names; see ``read_picture`` for what is allowed.
         out: folder that is made if it is missing; the files of NAME.png go to out/NAME.
-        weights: file of ``save_weights``.
+        weights: file of ``save_weights``, or the name of a shipped network.
         eyes: eye centres in pixels that hold for every image; side files and canonical pictures if None.
         mask: mask picture that holds for every image; an ellipse if None.
 
@@ -57,7 +58,7 @@ def decompose(
     read = [read_picture(path, eyes, mask) for path in images]
     folder = output_dir(out)
     faces = take_apart(trained.model, read, size=trained.size, values=trained.values)
-    metadata = {"sfsnet_dr:weights_sha256": provenance.sha256(Path(weights))}
+    metadata = {"sfsnet_dr:weights_sha256": provenance.sha256(weights_path(weights))}
     for face in faces:
         write_decomposed(folder, face, metadata)
     return faces

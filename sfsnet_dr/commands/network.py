@@ -85,7 +85,7 @@ class Decompose:
     down), or its eye centres must be given: by --eyes, or in NAME.toml beside it with the two lines
     eye_image_left = [x, y] and eye_image_right = [x, y].
 
-    Example: sfsnet-dr decompose me.jpg --eyes 201,190,255,188 --weights w.safetensors --out out/me
+    Example: sfsnet-dr decompose me.jpg --eyes 201,190,255,188 --out out/me
     """
 
     images: Positional[
@@ -98,8 +98,11 @@ class Decompose:
             ),
         ]
     ]
-    weights: Annotated[Path, arg(metavar="FILE", help="Weights that `sfsnet-dr train` wrote (.safetensors).")]
     out: Out
+    weights: Annotated[
+        Path,
+        arg(metavar="FILE", help="Weights that `sfsnet-dr train` wrote, or the name of a shipped network."),
+    ] = Path("sfsnet")
     eyes: Annotated[
         str | None,
         arg(

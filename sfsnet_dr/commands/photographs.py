@@ -24,7 +24,7 @@ class PseudoLabel:
     """
 
     photographs: Positional[Annotated[Path, arg(metavar="PHOTOS", help="Folder of photographs.")]]
-    weights: Annotated[Path, arg(metavar="FILE", help="Weights that `sfsnet-dr train` wrote (.safetensors).")]
+    weights: Annotated[Path, arg(metavar="FILE", help="Weights of `sfsnet-dr train`, or a shipped name.")]
     out: Out
     size: Annotated[
         int | None, arg(help="Width of the labels in pixels; left out, that of the weights' training.")

@@ -18,6 +18,7 @@ from sfsnet_dr.commands.stability import Stability
 from sfsnet_dr.commands.stages import Stages
 from sfsnet_dr.commands.start import Demo, Doctor
 from sfsnet_dr.commands.validation import Validate
+from sfsnet_dr.commands.weights import WeightsCheck, WeightsList, WeightsPack
 
 #: Commands by the words on the command line, with the line that the overview shows.
 COMMANDS: Final[dict[str, tuple[type[Command], str]]] = {
@@ -33,6 +34,9 @@ COMMANDS: Final[dict[str, tuple[type[Command], str]]] = {
     "evaluate": (Evaluate, "Measure networks and baselines on faces with known normals"),
     "fit-lights": (FitLights, "Learn from photographs which lights there are"),
     "decompose": (Decompose, "Take photographs of faces apart"),
+    "weights list": (WeightsList, "Name the trained networks that come with the package"),
+    "weights check": (WeightsCheck, "Measure them and compare with their cards"),
+    "weights pack": (WeightsPack, "Keep a network's weights in eight bits"),
     "validate": (Validate, "Measure the SH renderer against the path tracer"),
     "worst-light": (WorstLight, "Find the light under which the SH renderer is most wrong"),
     "stability": (Stability, "Put hard cases to every SH renderer and the loss"),

@@ -31,6 +31,7 @@ from sfsnet_dr.data.pseudo_labels import SHARD, LabelFolder, Labels, Values, as_
 from sfsnet_dr.fit.trained import load_trained
 from sfsnet_dr.model.outputs import Decomposition
 from sfsnet_dr.model.predict import predict
+from sfsnet_dr.model.shipped import weights_path
 
 #: Deviations at which a pixel's confidence has fallen to a half.
 HALF_ANGLE: Final = math.radians(10)
@@ -65,7 +66,7 @@ def pseudo_label(
     train = photographs.train
     trained = load_trained(weights)
     spec: dict[str, Any] = {
-        "weights": sha256(Path(weights)),
+        "weights": sha256(weights_path(weights)),
         "size": size or trained.size,
         "values": trained.values,
         "photographs": photographs.fingerprint,

@@ -24,6 +24,7 @@ from sfsnet_dr.fit.pictures import write_pictures
 from sfsnet_dr.fit.recipe import Recipe
 from sfsnet_dr.fit.step import NotFinite, training_step
 from sfsnet_dr.fit.team import Team
+from sfsnet_dr.model.shipped import weights_path
 from sfsnet_dr.model.weights import copy_weights, save_weights
 
 #: Files of a run's folder.
@@ -92,7 +93,7 @@ class Run:
         self.data = batches.fingerprint
         self.watch = Watch()
         self.model = recipe.make_model()
-        self.start = None if start is None else sha256(start)
+        self.start = None if start is None else sha256(weights_path(start))
         if start is not None and not resume:
             copy_weights(start, self.model)
         team.prepare(self.model)

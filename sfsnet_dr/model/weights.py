@@ -14,8 +14,10 @@ from torch import Tensor, nn
 
 from sfsnet_dr.base.atomic import atomic_path
 from sfsnet_dr.base.checks import BadInput, nearest
+from sfsnet_dr.model.eight_bit import from_eight_bit, to_eight_bit
 from sfsnet_dr.model.network import Network
 from sfsnet_dr.model.sfsnet import SfSNet
+from sfsnet_dr.model.shipped import weights_path
 from sfsnet_dr.model.skipnet import SkipNet, SkipNetPlus
 
 #: Architectures by the name that files and recipes use.
@@ -56,13 +58,16 @@ def build(architecture: str, config: Mapping[str, int]) -> Network:
     return kind(**config)
 
 
-def save_weights(path: Path | str, model: Network, metadata: Mapping[str, Any] | None = None) -> None:
+def save_weights(
+    path: Path | str, model: Network, metadata: Mapping[str, Any] | None = None, *, eight_bit: bool = False
+) -> None:
     """Write parameters and batch-normalisation statistics, whole or not at all.
 
     Args:
         path: the file, by custom ``*.safetensors``.
         model: the network.
         metadata: anything JSON can hold that should travel along: recipe, step, losses, versions.
+        eight_bit: keep what is large in a quarter of the bytes, see ``model.eight_bit``.
     """
     header = {
         "format": FORMAT,
@@ -72,6 +77,8 @@ def save_weights(path: Path | str, model: Network, metadata: Mapping[str, Any] |
         "metadata": dict(metadata or {}),
     }
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in model.state_dict().items()}
+    if eight_bit:
+        tensors = to_eight_bit(tensors)
     with atomic_path(path) as partial:
         save_file(tensors, partial, {HEADER: json.dumps(header, sort_keys=True)})
 
@@ -79,13 +86,16 @@ def save_weights(path: Path | str, model: Network, metadata: Mapping[str, Any] |
 def load_weights(path: Path | str) -> Network:
     """The network that a file of ``save_weights`` holds, in evaluation mode, on the CPU.
 
+    ``path`` may be the name of a shipped network, here and below.
+
     Raises:
         BadInput: if the file is missing, is no weights file, is of another version or architecture, or
             does not hold the tensors that its architecture needs.
     """
-    header, tensors = _read(Path(path))
-    model = _fitting(Path(path), header)
-    _fill(Path(path), model, tensors)
+    path = weights_path(path)
+    header, tensors = _read(path)
+    model = _fitting(path, header)
+    _fill(path, model, tensors)
     return model.eval()
 
 
@@ -95,16 +105,17 @@ def copy_weights(path: Path | str, model: Network) -> None:
     Raises:
         BadInput: as ``load_weights``, or if the file holds another network.
     """
-    header, tensors = _read(Path(path))
+    path = weights_path(path)
+    header, tensors = _read(path)
     found, wanted = (header["architecture"], header["config"]), (model.architecture, model.config)
     if found != wanted:
         raise BadInput(f"{path}: a {_told(*found)} found, a {_told(*wanted)} is to begin with it")
-    _fill(Path(path), model, tensors)
+    _fill(path, model, tensors)
 
 
 def read_metadata(path: Path | str) -> dict[str, Any]:
     """What ``save_weights`` was given as ``metadata``."""
-    header, _ = _read(Path(path), header_only=True)
+    header, _ = _read(weights_path(path), header_only=True)
     metadata: dict[str, Any] = header.get("metadata", {})
     return metadata
 
@@ -126,7 +137,7 @@ def _read(path: Path, header_only: bool = False) -> tuple[dict[str, Any], dict[s
         raise BadInput(f"{path}: {found} found in its header, {FORMAT} expected; `sfsnet-dr train` writes it")
     if header["version"] != VERSION:
         raise BadInput(f"{path}: weights of format version {header['version']} found, {VERSION} expected")
-    return header, tensors
+    return header, from_eight_bit(tensors)
 
 
 def _fitting(path: Path, header: dict[str, Any]) -> Network:

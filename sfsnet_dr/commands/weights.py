@@ -1,0 +1,90 @@
+"""Commands about the trained networks that come with the package."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from sfsnet_dr.commands.result import Json, Out, Result, command_line, of_records
+
+
+@dataclass(frozen=True)
+class WeightsList:
+    """Name the networks that come with the package, with the numbers of their cards.
+
+    Wherever a command takes --weights, one of these names will do.
+
+    Example: sfsnet-dr weights list
+    """
+
+    as_json: Json = False
+
+    def run(self) -> Result:
+        from sfsnet_dr.model.shipped import FOLDER, SHIPPED
+        from sfsnet_dr.study.shipped_check import card_records
+
+        records = [record for name in SHIPPED for record in card_records(name)]
+        return of_records(records, f"cards: {FOLDER}/NAME.md for {', '.join(SHIPPED)}")
+
+
+@dataclass(frozen=True)
+class WeightsCheck:
+    """Measure shipped networks and hold the numbers to those of their cards; exit code 1 where they differ.
+
+    Two dozen unseen faces are rendered into OUT first (a minute); photographs are measured too where a folder
+    of them is given, as `sfsnet-dr pseudo-label` takes it.
+
+    Example: sfsnet-dr weights check --out out/check
+    """
+
+    out: Out
+    names: Annotated[
+        tuple[Path, ...], arg(metavar="NAME", help="Shipped names or files; left out, all shipped.")
+    ] = ()
+    photographs: Annotated[Path | None, arg(metavar="DIR", help="Folder of photographs with landmarks.")] = (
+        None
+    )
+    as_json: Json = False
+
+    def run(self) -> Result:
+        from sfsnet_dr.model.shipped import SHIPPED
+        from sfsnet_dr.report.console import bar
+        from sfsnet_dr.report.record import to_json, write_records
+        from sfsnet_dr.study.shipped_check import FACES, card_records, compare, measure_shipped
+
+        names = self.names or tuple(Path(name) for name in SHIPPED)
+        with bar("rendering faces", FACES) as advance:
+            records = measure_shipped(
+                names, self.out, command_line(), photographs=self.photographs, on_face=lambda _: advance()
+            )
+        write_records(self.out / "records.json", records)
+        card = [record for name in names if str(name) in SHIPPED for record in card_records(str(name))]
+        compared = compare(records, card)
+        return Result(
+            text="\n".join(map(str, compared)),
+            json=to_json(records),
+            code=0 if all(one.same for one in compared) else 1,
+        )
+
+
+@dataclass(frozen=True)
+class WeightsPack:
+    """Keep a network's large tensors in eight bits: a quarter of the bytes.
+
+    Example: sfsnet-dr weights pack out/sfsnet/weights.safetensors --out sfsnet.safetensors
+    """
+
+    weights: Positional[Annotated[Path, arg(metavar="FILE", help="Weights that `sfsnet-dr train` wrote.")]]
+    out: Annotated[Path, arg(metavar="FILE", help="File to write.")]
+    as_json: Json = False
+
+    def run(self) -> Result:
+        from sfsnet_dr.model.weights import load_weights, read_metadata, save_weights
+        from sfsnet_dr.report.record import measured
+
+        save_weights(self.out, load_weights(self.weights), read_metadata(self.weights), eight_bit=True)
+        size = measured("weights.bytes", self.out.stat().st_size, "B", command=command_line())
+        return of_records([size], f"written: {self.out}")
