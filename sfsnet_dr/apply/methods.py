@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
@@ -50,6 +50,19 @@ class Method(Protocol):
             masks: share of each pixel that is skin, (B, 1, 128, 128).
             subjects: whom they show; for methods that must not know the same person.
         """
+
+
+@runtime_checkable
+class OfCapture(Protocol):
+    """A method that knows something of each capture (a face in one pose under several lights) beforehand."""
+
+    def of_capture(self, capture: str) -> Method:
+        """The method for images of one capture."""
+
+
+def for_capture(method: Method, capture: str) -> Method:
+    """What to call for images of a capture; most methods are the same for all."""
+    return method.of_capture(capture) if isinstance(method, OfCapture) else method
 
 
 class NetworkMethod:
@@ -134,6 +147,14 @@ def explained(normal: Tensor, images: Tensor, masks: Tensor, ridge: float = 0.01
     )
     light = torch.linalg.solve(gram[:, None], right[..., None])[..., 0]
     light = (light / 0.5).reshape(len(images), -1).float()  # the albedo is .5 on average
+    return divided(normal, light, images)
+
+
+def divided(normal: Tensor, light: Tensor, images: Tensor) -> Answer:
+    """The albedo that explains images once normals and light are found: the image over the shading.
+
+    Shading below a twentieth of the image's mean shading counts as that much: dark pixels say little.
+    """
     shade = shading(normal, light)
     floor = 0.05 * shade.clamp_min(0).mean((1, 2, 3), keepdim=True) + 1e-6
     albedo = images / shade.clamp_min(0).maximum(floor)

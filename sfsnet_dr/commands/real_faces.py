@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from sfsnet_dr.report.record import Record
 
 Database = Literal["yale-b", "photoface", "multipie", "celeba", "folder"]
+Baseline = Literal["flat", "mean-face", "3dmm"]
 DatabaseFolder = Positional[
     Annotated[Path, arg(metavar="DIR", help="Its folder; the head of data/NAME.py says what is in it.")]
 ]
@@ -118,6 +119,16 @@ class Evaluate:
     weights: Annotated[
         tuple[Path, ...], arg(metavar="FILE", help="Weights of networks to measure beside the baselines.")
     ] = ()
+    methods: Annotated[
+        tuple[Baseline, ...], arg(metavar="NAME", help="Baselines; left out, all that can run.")
+    ] = ()
+    landmarks: Annotated[
+        Path | None,
+        arg(metavar="FILE", help="For 3dmm: .npz with files and points (N, 68, 2); else looked for in DIR."),
+    ] = None
+    model_path: Annotated[
+        Path | None, arg(metavar="PATH", help="For 3dmm: ICT FaceKit, as `sfsnet-dr fit-lights` takes it.")
+    ] = None
     quick: Annotated[bool, arg(help="Four subjects and every fourth light.")] = False
     as_json: Json = False
 
@@ -125,9 +136,11 @@ class Evaluate:
         from sfsnet_dr.data.databases import open_database
         from sfsnet_dr.data.surface_labels import load_surfaces, read_index
         from sfsnet_dr.report.console import bar
-        from sfsnet_dr.study.evaluate.run import evaluate, methods_for
+        from sfsnet_dr.study.evaluate.choose import Wanted, methods_for
+        from sfsnet_dr.study.evaluate.run import evaluate
         from sfsnet_dr.study.photometric import label_surfaces
 
+        listing = None
         if self.data == "labels":
             name, faces = read_index(self.folder)["database"], load_surfaces(self.folder)
             faces = faces[:4] if self.quick else faces
@@ -138,11 +151,13 @@ class Evaluate:
             with bar("photometric stereo", len(listing.captures())) as advance:
                 faces = label_surfaces(listing, halves=False, on_capture=advance).labels
         lights = sorted({light for face in faces for light in face.lights})
-        methods = methods_for(faces, self.weights)
+        wanted = Wanted(self.methods, self.weights, self.landmarks, self.model_path)
+        methods, left_out = methods_for(faces, wanted, listing)
         with bar("measuring methods", len(methods)) as advance:
             records = evaluate(
                 name, faces, methods, self.out, command_line(),
                 lights=lights[::4] if self.quick and len(lights) >= 16 else None,
                 on_method=advance,
             )  # fmt: skip
-        return of_records(records, f"page: {self.out / 'index.html'}")
+        lines = [f"left out: {name}: {reason}" for name, reason in left_out.items()]
+        return of_records(records, *lines, f"page: {self.out / 'index.html'}")

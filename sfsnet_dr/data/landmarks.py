@@ -45,9 +45,14 @@ def eye_centres(points: Array) -> Eyes:
     return (float(xl), float(yl)), (float(xr), float(yr))
 
 
-def canonical_landmarks(points: Array) -> Array:
-    """Landmarks (68, 2) of a photograph in the canonical frame of 128 x 128, the eyes at their places."""
-    left, right = (complex(*eye) for eye in eye_centres(points))
+def canonical_landmarks(points: Array, eyes: Eyes | None = None) -> Array:
+    """Landmarks (68, 2) of a photograph in the canonical frame of 128 x 128.
+
+    Args:
+        points: in the photograph's pixels.
+        eyes: what lies at the frame's eyes, in the same pixels; the landmarks' own eyes if left out.
+    """
+    left, right = (complex(*eye) for eye in (eyes or eye_centres(points)))
     factor = (complex(*EYE_IMAGE_RIGHT) - complex(*EYE_IMAGE_LEFT)) / (right - left)
     places = complex(*EYE_IMAGE_LEFT) + factor * (points[:, 0] + 1j * points[:, 1] - left)
     return np.stack([places.real, places.imag], -1)

@@ -197,11 +197,20 @@ def _pictures(folder: Path) -> list[Path]:
 
 
 def _landmarks(folder: Path) -> dict[str, Array]:
+    return read_landmarks(find_landmarks(folder))
+
+
+def find_landmarks(folder: Path) -> Path:
+    """The file of landmarks that lies in a folder of photographs or beside it.
+
+    Raises:
+        BadInput: if there is none.
+    """
     choices = [folder / "landmarks.npz", folder.with_name(f"{folder.name}_landmarks.npz")]
     path = next((choice for choice in choices if choice.is_file()), None)
     if path is None:
         raise BadInput(f"{folder}: no landmarks found; {choices[0]} or {choices[1]} is needed")
-    return read_landmarks(path)
+    return path
 
 
 def read_landmarks(path: Path) -> dict[str, Array]:

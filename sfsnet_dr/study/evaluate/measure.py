@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from sfsnet_dr.apply.methods import Answer, Method
+from sfsnet_dr.apply.methods import Answer, Method, for_capture
 from sfsnet_dr.data.surface_labels import SurfaceLabels
 from sfsnet_dr.metrics.image import mae_8bit, rmse_8bit
 from sfsnet_dr.metrics.light_classes import light_direction
@@ -88,7 +88,7 @@ def measure(
             masks = face.mask[None].expand(len(rows), -1, -1, -1)
             start = time.perf_counter()
             with torch.no_grad():
-                answer = method(images, masks, [face.subject] * len(rows))
+                answer = for_capture(method, face.name)(images, masks, [face.subject] * len(rows))
             seconds += time.perf_counter() - start
             found += [_errors(face, j, answer, index) for index, j in enumerate(rows)]
             on_batch()

@@ -15,9 +15,8 @@ import numpy as np
 import torch
 
 from sfsnet_dr.apply.display import on_white, sheet, show_albedo, show_linear, show_normals
-from sfsnet_dr.apply.methods import FlatNormals, MeanNormals, Method, NetworkMethod
+from sfsnet_dr.apply.methods import Method, for_capture
 from sfsnet_dr.base.atomic import output_dir, write_text
-from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.data.surface_labels import SurfaceLabels
 from sfsnet_dr.data.yale_b import LIGHTS_19
 from sfsnet_dr.report.html import Figure, Section, Table, write_page
@@ -41,24 +40,6 @@ COLUMNS: Final = (
     ("lights.direction_deg", "direction (deg)", 1),
     ("images_per_s", "images/s", 1),
 )
-
-
-def methods_for(faces: Sequence[SurfaceLabels], weights: Sequence[Path]) -> list[Method]:
-    """The baselines, then a network for each file of weights, named by the file or its folder."""
-    methods: list[Method] = [FlatNormals()]
-    subjects = sorted({face.subject for face in faces})
-    if len(subjects) > 1:
-        sums = {
-            subject: torch.stack([f.normal * (f.mask > 0.5) for f in faces if f.subject == subject]).mean(0)
-            for subject in subjects
-        }
-        methods.append(MeanNormals(sums))
-    for path in weights:
-        name = dotted(path.parent.name if path.stem == "weights" else path.stem)
-        if name in [method.name for method in methods]:
-            raise BadInput(f"weights: two methods would be called {name!r}; rename {path}")
-        methods.append(NetworkMethod(name, path))
-    return methods
 
 
 def evaluate(
@@ -150,7 +131,7 @@ def _pictures(faces: Sequence[SurfaceLabels], methods: Sequence[Method]) -> byte
             cells.append(("", np.full((128, 128, 3), 255, np.uint8)))
         for method in methods:
             with torch.no_grad():
-                answer = method(image, face.mask[None], [face.subject])
+                answer = for_capture(method, face.name)(image, face.mask[None], [face.subject])
             normal, albedo, drawn = (
                 _picture(part[0]) for part in (answer.normal, answer.albedo, answer.image)
             )

@@ -1,0 +1,145 @@
+"""Which methods are measured: baselines by name, and networks.
+
+The 3DMM's protocol: one fit a capture, shared by its lights. Its landmarks are the median of those of the
+capture's photographs under frontal light (within 25 degrees of the viewer), or of all whose lights are not
+known: what a detector finds under one lamp from beside would be the detector's error, not the model's. So
+its normals do not depend on the light; its light is fitted to each photograph.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from sfsnet_dr.apply.methods import FlatNormals, MeanNormals, Method, NetworkMethod
+from sfsnet_dr.apply.model_fit import ModelFit
+from sfsnet_dr.base.checks import BadInput, nearest
+from sfsnet_dr.data.landmarks import canonical_landmarks
+from sfsnet_dr.data.listing import FacePhoto, Listing
+from sfsnet_dr.data.photo_set import find_landmarks, read_landmarks
+from sfsnet_dr.data.surface_labels import SurfaceLabels
+from sfsnet_dr.report.record import dotted
+from sfsnet_dr.scene.face_modes import load_face_modes
+
+Array = npt.NDArray[np.float64]
+
+#: Least z of the direction toward a frontal light.
+_FRONTAL: Final = float(np.cos(np.radians(25)))
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What the command line asks for.
+
+    Args:
+        baselines: their names; all that can run if empty.
+        weights: of networks.
+        landmarks: file of landmarks in the photographs' pixels; looked for at the database if None.
+        model_path: face model of the 3DMM.
+    """
+
+    baselines: tuple[str, ...] = ()
+    weights: tuple[Path, ...] = ()
+    landmarks: Path | None = None
+    model_path: Path | None = None
+
+
+def methods_for(
+    faces: Sequence[SurfaceLabels], wanted: Wanted, listing: Listing | None = None
+) -> tuple[list[Method], dict[str, str]]:
+    """The baselines, then a network for each file of weights, named by the file or its folder.
+
+    Args:
+        faces: that will be measured.
+        wanted: see there.
+        listing: the faces' photographs, None where they are not known.
+
+    Returns:
+        The methods, and why each baseline is missing that was not asked for by name.
+
+    Raises:
+        BadInput: for an unknown baseline, or one that was asked for and cannot run; for two methods of one
+            name; for unusable weights.
+    """
+    makers: dict[str, Callable[[], Method]] = {
+        FlatNormals.name: FlatNormals,
+        MeanNormals.name: lambda: _mean_face(faces),
+        ModelFit.name: lambda: _model_fit(faces, wanted, listing),
+    }
+    for name in wanted.baselines:
+        if name not in makers:
+            raise BadInput(f"methods: {name!r} found; {nearest(name, makers)}")
+    methods: list[Method] = []
+    left_out: dict[str, str] = {}
+    for name in wanted.baselines or makers:
+        try:
+            _add(methods, makers[name](), name)
+        except BadInput as error:
+            if name in wanted.baselines:
+                raise BadInput(f"{name}: {error}") from error
+            left_out[name] = str(error)
+    for path in wanted.weights:
+        name = dotted(path.parent.name if path.stem == "weights" else path.stem)
+        _add(methods, NetworkMethod(name, path), str(path))
+    return methods, left_out
+
+
+def _add(methods: list[Method], method: Method, source: str) -> None:
+    if method.name in [other.name for other in methods]:
+        raise BadInput(f"weights: two methods would be called {method.name!r}; rename {source}")
+    methods.append(method)
+
+
+def _mean_face(faces: Sequence[SurfaceLabels]) -> MeanNormals:
+    subjects = sorted({face.subject for face in faces})
+    return MeanNormals(
+        {
+            subject: torch.stack([f.normal * (f.mask > 0.5) for f in faces if f.subject == subject]).mean(0)
+            for subject in subjects
+        }
+    )
+
+
+def _model_fit(faces: Sequence[SurfaceLabels], wanted: Wanted, listing: Listing | None) -> ModelFit:
+    if listing is None:
+        raise BadInput("labels do not say where the photographs have the eyes; evaluate the database itself")
+    known = read_landmarks(wanted.landmarks or find_landmarks(listing.folder))
+    marks = capture_landmarks(listing, known)
+    missing = [face.name for face in faces if face.name not in marks]
+    if missing:
+        raise BadInput(f"no landmarks of {missing[0]} ({len(missing)} of {len(faces)} captures have none)")
+    if wanted.model_path is None:
+        raise BadInput("a face model is needed; --model-path names ICT FaceKit")
+    return ModelFit(load_face_modes(wanted.model_path), marks)
+
+
+def capture_landmarks(listing: Listing, known: Mapping[str, Array]) -> dict[str, Array]:
+    """Landmarks (68, 2) of each capture that has any, in the canonical frame; see this file's head.
+
+    Args:
+        listing: the photographs.
+        known: landmarks in their pixels, by their path below the database's folder or by their file's name.
+    """
+    found = {}
+    for capture, photos in listing.captures().items():
+        marked = {photo.name: known.get(photo.name, known.get(photo.path.name)) for photo in photos}
+        usable = [photo for photo in photos if _is_whole(marked[photo.name])]
+        frontal = [photo for photo in usable if _is_frontal(photo)]
+        rows = [canonical_landmarks(np.asarray(marked[p.name]), p.eyes) for p in frontal or usable]
+        if rows:
+            found[capture] = np.asarray(np.median(rows, axis=0))
+    return found
+
+
+def _is_whole(points: Array | None) -> bool:
+    return points is not None and bool(np.isfinite(points).all())
+
+
+def _is_frontal(photo: FacePhoto) -> bool:
+    return photo.direction is None or photo.direction[2] >= _FRONTAL
