@@ -16,6 +16,7 @@ from sfsnet_dr.base.atomic import output_dir
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.base.color import linear_to_srgb, srgb_to_linear
 from sfsnet_dr.base.conventions import FACE_SIZE
+from sfsnet_dr.data.exposure import metering_gain
 from sfsnet_dr.data.photograph import Eyes
 from sfsnet_dr.data.pseudo_labels import Values
 from sfsnet_dr.fit.trained import load_trained
@@ -69,6 +70,9 @@ def take_apart(
 ) -> list[Decomposed]:
     """Run the network on pictures of the canonical frame; writes nothing.
 
+    Pictures that are far darker or brighter than photographs are metered for the network
+    (``data.exposure``); light, shading and reconstruction are those of the picture itself.
+
     Args:
         model: the network.
         read: at least one picture.
@@ -77,12 +81,18 @@ def take_apart(
             result is an image.
     """
     read = [_averaged(picture, size) for picture in read]
-    linear = np.stack([np.moveaxis(picture.image, -1, 0) for picture in read])
-    shown = linear if values == "linear" else linear_to_srgb(linear)
+    images = torch.from_numpy(np.stack([np.moveaxis(picture.image, -1, 0) for picture in read])).float()
+    masks = torch.from_numpy(np.stack([picture.mask for picture in read])).float()[:, None]
+    gain = metering_gain(images, masks)
+    metered = (images * gain).clamp(0, 1).numpy()
+    shown = metered if values == "linear" else linear_to_srgb(metered)
     result = predict(model, torch.from_numpy(shown.astype(np.float32)))
     normal, albedo, light = (part.double().numpy() for part in result)
+    factor = gain.double().numpy()
+    if values == "linear":
+        light = light / factor[:, :, 0, 0]
     shade = shading(normal, light)
-    image = albedo * shade if values == "linear" else srgb_to_linear(albedo * shade)
+    image = albedo * shade if values == "linear" else srgb_to_linear(albedo * shade) / factor
     maps = [np.moveaxis(part, 1, -1) for part in (normal, albedo, shade, image)]
     return [
         Decomposed(

@@ -13,6 +13,7 @@ from torch.nn import functional
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.base.color_torch import linear_to_srgb, srgb_to_linear
 from sfsnet_dr.base.conventions import LIGHT_ORDER
+from sfsnet_dr.data.exposure import metering_gain
 from sfsnet_dr.fit.trained import load_trained
 from sfsnet_dr.model.predict import predict
 from sfsnet_dr.render.shading_torch import shading, unit
@@ -77,17 +78,18 @@ class NetworkMethod:
         self.trained = load_trained(weights)
 
     def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Answer:
-        """See ``Method``; maps of a smaller network are interpolated."""
+        """See ``Method``; maps of a smaller network are interpolated, and dark images are metered."""
         size = images.shape[-1]
-        small = functional.avg_pool2d(images, size // self.trained.size)
+        gain = metering_gain(images, masks)
+        small = functional.avg_pool2d(images * gain, size // self.trained.size).clamp(0, 1)
         display = self.trained.values == "display"
-        found = predict(self.trained.model, linear_to_srgb(small.clamp(0, 1)) if display else small)
+        found = predict(self.trained.model, linear_to_srgb(small) if display else small)
         normal, albedo = (_grown(part, size) for part in (found.normal, found.albedo))
         normal = unit(normal)
         image = albedo * shading(normal, found.light)
         if display:
             image, albedo = srgb_to_linear(image), srgb_to_linear(albedo.clamp_min(0))
-        return Answer(normal, albedo, found.light, image)
+        return Answer(normal, albedo, found.light / gain[:, :, 0, 0], image / gain)
 
 
 class FlatNormals:
