@@ -9,19 +9,18 @@ import numpy as np
 import torch
 from torch import nn
 
+from sfsnet_dr.apply.methods import ask
 from sfsnet_dr.apply.outputs import Decomposed, write_decomposed
 from sfsnet_dr.apply.picture import Picture, read_picture
 from sfsnet_dr.base import provenance
 from sfsnet_dr.base.atomic import output_dir
 from sfsnet_dr.base.checks import BadInput
-from sfsnet_dr.base.color import linear_to_srgb, srgb_to_linear
+from sfsnet_dr.base.color import srgb_to_linear
 from sfsnet_dr.base.conventions import FACE_SIZE
-from sfsnet_dr.data.exposure import metering_gain
 from sfsnet_dr.data.photograph import Eyes
 from sfsnet_dr.data.pseudo_labels import Values
 from sfsnet_dr.fit.trained import load_trained
 from sfsnet_dr.metrics.image import mae_8bit
-from sfsnet_dr.model.predict import predict
 from sfsnet_dr.model.shipped import weights_path
 from sfsnet_dr.render.shading_numpy import shading
 from sfsnet_dr.sh.coefficients import Shading
@@ -70,29 +69,19 @@ def take_apart(
 ) -> list[Decomposed]:
     """Run the network on pictures of the canonical frame; writes nothing.
 
-    Pictures that are far darker or brighter than photographs are metered for the network
-    (``data.exposure``); light, shading and reconstruction are those of the picture itself.
-
     Args:
         model: the network.
-        read: at least one picture.
-        size: width and height that the pictures are averaged to, a divisor of 128.
-        values: what a photograph's numbers are to the network; encoded ones are decoded again where the
-            result is an image.
+        read: at least one picture, all of one size.
+        size: width and height that the network was trained at; see ``methods.ask``.
+        values: what a photograph's numbers are to the network. Its albedo and shading explain those, and are
+            kept as they are.
     """
-    read = [_averaged(picture, size) for picture in read]
     images = torch.from_numpy(np.stack([np.moveaxis(picture.image, -1, 0) for picture in read])).float()
     masks = torch.from_numpy(np.stack([picture.mask for picture in read])).float()[:, None]
-    gain = metering_gain(images, masks)
-    metered = (images * gain).clamp(0, 1).numpy()
-    shown = metered if values == "linear" else linear_to_srgb(metered)
-    result = predict(model, torch.from_numpy(shown.astype(np.float32)))
-    normal, albedo, light = (part.double().numpy() for part in result)
-    factor = gain.double().numpy()
-    if values == "linear":
-        light = light / factor[:, :, 0, 0]
+    found, gain = ask(model, images, masks, size, values)
+    normal, albedo, light = (part.double().numpy() for part in found)
     shade = shading(normal, light)
-    image = albedo * shade if values == "linear" else srgb_to_linear(albedo * shade) / factor
+    image = albedo * shade if values == "linear" else srgb_to_linear(albedo * shade) / gain.double().numpy()
     maps = [np.moveaxis(part, 1, -1) for part in (normal, albedo, shade, image)]
     return [
         Decomposed(
@@ -117,13 +106,3 @@ def reconstruction_error(face: Decomposed) -> float:
     inverse wrong shading reconstructs perfectly.
     """
     return mae_8bit(face.reconstruction, face.image, face.mask)
-
-
-def _averaged(picture: Picture, size: int) -> Picture:
-    """The picture with means over blocks of pixels, in linear light; of 128 x 128 unless it is that size."""
-    block = len(picture.image) // size
-    if block == 1:
-        return picture
-    image = picture.image.reshape(size, block, size, block, 3).mean((1, 3))
-    mask = picture.mask.reshape(size, block, size, block).mean((1, 3))
-    return Picture(picture.name, image, mask)

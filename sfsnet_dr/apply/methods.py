@@ -7,14 +7,16 @@ from pathlib import Path
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn import functional
 
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.base.color_torch import linear_to_srgb, srgb_to_linear
 from sfsnet_dr.base.conventions import LIGHT_ORDER
 from sfsnet_dr.data.exposure import metering_gain
+from sfsnet_dr.data.pseudo_labels import Values
 from sfsnet_dr.fit.trained import load_trained
+from sfsnet_dr.model.outputs import Decomposition
 from sfsnet_dr.model.predict import predict
 from sfsnet_dr.render.shading_torch import shading, unit
 from sfsnet_dr.sh.basis_torch import sh_basis
@@ -78,18 +80,41 @@ class NetworkMethod:
         self.trained = load_trained(weights)
 
     def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Answer:
-        """See ``Method``; maps of a smaller network are interpolated, and dark images are metered."""
-        size = images.shape[-1]
-        gain = metering_gain(images, masks)
-        small = functional.avg_pool2d(images * gain, size // self.trained.size).clamp(0, 1)
-        display = self.trained.values == "display"
-        found = predict(self.trained.model, linear_to_srgb(small) if display else small)
-        normal, albedo = (_grown(part, size) for part in (found.normal, found.albedo))
-        normal = unit(normal)
-        image = albedo * shading(normal, found.light)
-        if display:
-            image, albedo = srgb_to_linear(image), srgb_to_linear(albedo.clamp_min(0))
-        return Answer(normal, albedo, found.light / gain[:, :, 0, 0], image / gain)
+        """See ``Method``."""
+        trained = self.trained
+        found, gain = ask(trained.model, images, masks, trained.size, trained.values)
+        normal, albedo, light = found
+        image = albedo * shading(normal, light)
+        if trained.values == "display":
+            image, albedo = srgb_to_linear(image) / gain, srgb_to_linear(albedo.clamp_min(0))
+        return Answer(normal, albedo, light, image)
+
+
+def ask(
+    model: nn.Module, images: Tensor, masks: Tensor, size: int, values: Values
+) -> tuple[Decomposition, Tensor]:
+    """A network's answer at the resolution of the images, and the gains that it saw them with.
+
+    They are averaged to the network's size, its maps are interpolated. Images that are far darker or brighter
+    than photographs are metered for it (``data.exposure``).
+
+    Args:
+        model: the network.
+        images: linear, (B, 3, H, W); H = W is a multiple of ``size``.
+        masks: (B, 1, H, W).
+        size: width and height of the images that it was trained on.
+        values: what an image's numbers are to it.
+
+    Returns:
+        Unit normals, and albedo and light whose product is the image; where the network understands encoded
+        values, it is the encoded image times the gain. And the gains (B, 1, 1, 1).
+    """
+    gain = metering_gain(images, masks)
+    small = functional.avg_pool2d(images * gain, images.shape[-1] // size).clamp(0, 1)
+    found = predict(model, linear_to_srgb(small) if values == "display" else small)
+    normal, albedo = (_grown(part, images.shape[-1]) for part in (found.normal, found.albedo))
+    light = found.light / gain[:, :, 0, 0] if values == "linear" else found.light
+    return Decomposition(unit(normal), albedo, light), gain
 
 
 class FlatNormals:
