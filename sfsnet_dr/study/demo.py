@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,9 +25,9 @@ from sfsnet_dr.data.synth import render_bundle, synthesize
 from sfsnet_dr.fit.history import read_history
 from sfsnet_dr.fit.recipe import read_recipe
 from sfsnet_dr.fit.run import TrainResult
+from sfsnet_dr.fit.trained import load_trained
 from sfsnet_dr.fit.trainer import train
 from sfsnet_dr.metrics.normals import NormalErrors, angular_error_deg
-from sfsnet_dr.model.weights import load_weights
 from sfsnet_dr.report.console import bar
 from sfsnet_dr.report.record import Record, measured, write_records
 from sfsnet_dr.scene.light_sets import light_set
@@ -40,6 +41,8 @@ from sfsnet_dr.study.verdict import Study
 FACES = 24
 #: Far from the seeds of the training faces.
 UNSEEN_SEED = 100_000
+#: The network that takes the photograph apart: the one trained here has seen minutes of training.
+SHIPPED = "sfsnet"
 #: Lights and tolerance of the validation in the demo; ``sfsnet-dr validate`` has more.
 LIGHTS, TOLERANCE = "natural,directional60", 0.05
 _COMMAND = "sfsnet-dr demo"
@@ -57,9 +60,9 @@ class DemoResult:
         rendered, render_seconds: faces that this run rendered, and their time.
         studies: one for each validated scene.
         training, history: what training gave, and a line for each step.
-        photograph: the decomposed astronaut.
-        synthetic, truth: the decomposed unseen face and its ground truth.
-        normal_errors: of the unseen face on its mask.
+        photograph: the astronaut, decomposed by the shipped network.
+        synthetic, truth: the unseen face, decomposed likewise, and its ground truth.
+        normal_errors: of the unseen face on its mask; ``own_errors`` those of the network trained here.
         records: every number, in order.
     """
 
@@ -75,6 +78,7 @@ class DemoResult:
     synthetic: Decomposed
     truth: Bundle
     normal_errors: NormalErrors
+    own_errors: NormalErrors
     records: tuple[Record, ...]
 
 
@@ -109,9 +113,16 @@ def run_demo(out: Path | str, root: Path | str = ".", *, console: Console | None
         resume=(folder / "training").exists(),
     )
     screen.rule("6/6  Decompose a photograph and an unseen face", align="left")
-    photograph, synthetic, truth = _decompose(spec, training.weights, folder)
-    errors = angular_error_deg(synthetic.normal, truth.normal, truth.mask)
+    truth = render_bundle(spec, UNSEEN_SEED)
+    photograph, synthetic = _decompose([astronaut(), _unseen(truth)], SHIPPED)
+    for face in (photograph, synthetic):
+        write_decomposed(folder, face, {})
+    [own] = _decompose([_unseen(truth)], training.weights)
+    errors, own_errors = (angular_error_deg(f.normal, truth.normal, truth.mask) for f in (synthetic, own))
     records = _records(studies, training, photograph, synthetic, errors)
+    records.append(
+        measured("demo.own.normals.mean_deg", own_errors.mean, "degrees", command=_COMMAND, seed=UNSEEN_SEED)
+    )
     records.append(measured("import.seconds", import_seconds(), "s", command=_COMMAND))
     records.append(measured("demo.seconds", time.perf_counter() - begin, "s", command=_COMMAND))
     result = DemoResult(
@@ -127,6 +138,7 @@ def run_demo(out: Path | str, root: Path | str = ".", *, console: Console | None
         synthetic=synthetic,
         truth=truth,
         normal_errors=errors,
+        own_errors=own_errors,
         records=tuple(records),
     )
     write_records(folder / "records.json", records)
@@ -201,15 +213,14 @@ def _validate(path: Path, screen: Console) -> Study:
     return measure(build_subject(spec), light_set(LIGHTS), cold=False)
 
 
-def _decompose(spec: SceneSpec, weights: Path, folder: Path) -> tuple[Decomposed, Decomposed, Bundle]:
-    truth = render_bundle(spec, UNSEEN_SEED)
+def _unseen(truth: Bundle) -> Picture:
     background = _BACKGROUND * (1.0 - truth.coverage[..., None])
-    unseen = Picture("unseen-face", (truth.reference + background).astype(np.float32), truth.mask)
-    model = load_weights(weights)
-    photograph, synthetic = take_apart(model, [astronaut(), unseen])
-    for face in (photograph, synthetic):
-        write_decomposed(folder, face, {})
-    return photograph, synthetic, truth
+    return Picture("unseen-face", (truth.reference + background).astype(np.float32), truth.mask)
+
+
+def _decompose(pictures: Sequence[Picture], weights: Path | str) -> list[Decomposed]:
+    trained = load_trained(weights)
+    return take_apart(trained.model, pictures, size=trained.size, values=trained.values)
 
 
 def _records(
