@@ -20,8 +20,8 @@ from sfsnet_dr.study.verdict import duration, pooled
 _LEAD = (
     "A face is rendered with full light transport by Mitsuba 3, the cheap spherical-harmonic model of SfSNet "
     "is measured against it, the network is trained on such faces for a few minutes, and a photograph is "
-    "taken apart into normals, albedo and light by the network that comes with the package. Everything here was "
-    "computed by the run that wrote the page."
+    "taken apart into normals, albedo and light by the network that comes with the package. Everything here "
+    "was computed by the run that wrote the page."
 )
 
 
@@ -59,9 +59,9 @@ def _summary(result: DemoResult) -> Section:
             ),
             Note(
                 "Pictures are taken apart by the shipped SfSNet; its card, sfsnet_dr/weights/sfsnet.md, says "
-                f"what it was trained on and where it fails. The network trained here has seen {images} steps "
-                f"on {len(result.bundles)} synthetic faces and no photograph: its normals of the unseen face "
-                f"are {result.own_errors.mean:.1f} degrees off. It shows that training works."
+                "what it was trained on and where it fails. The network trained here has seen "
+                f"{images} steps on {len(result.bundles)} synthetic faces and no photograph: its normals of "
+                f"the unseen face are {result.own_errors.mean:.1f} degrees off. It shows that training works."
             ),
         ],
     )
