@@ -31,7 +31,7 @@ SATURATED: Final = 0.98
 #: Residual, in shares of the albedo, at which a light's weight has fallen to a half.
 SCALE: Final = 0.1
 #: Least cosine between normal and light that takes part; nearer to the terminator lights are uncertain.
-_GRAZING: Final = 0.1
+GRAZING: Final = 0.1
 _ROUNDS: Final = 15
 #: Angle (degrees) of standard error at which confidence has fallen to a half.
 HALF_CONFIDENCE: Final = 5.0
@@ -132,7 +132,7 @@ def fit_pixels(values: Array, valid: Array, lights: Array, rounds: int = _ROUNDS
         model = scaled @ lights.T
         size = np.linalg.norm(scaled, axis=1, keepdims=True) + 1e-9
         ratio = (values - model) / (SCALE * size)
-        weights = valid * (model > _GRAZING * size) / (1 + ratio * ratio)
+        weights = valid * (model > GRAZING * size) / (1 + ratio * ratio)
         scaled = _least_squares(weights, values, lights)
     return scaled, weights
 

@@ -6,10 +6,16 @@ light from the walls). So the gain of light j is
 
     g_j = s_j (1 + k (1 - l_z)),
 
-with s_j of geometric mean 1. A pixel's three unknowns can absorb part of any gain that grows with the angle,
-which makes k and the trend of s_j with l_z hard to tell apart by the residual alone: k is therefore the value
-for which the s_j found with it show no trend with l_z, as lamps that are mounted alike should not. Lamps
-beside and behind the face have no say in that: they light a rim only, and the walls.
+with s_j of geometric mean 1. Both are found from what no surface can explain:
+
+- k leaves the least robust residual, the sum that ``fit_pixels`` makes small. A pixel's three unknowns absorb
+  most of any gain that grows with the angle, so the minimum is shallow, but it lies where gains were planted.
+- s_j is what light j shows over the model, the median of pixels and captures. What the model lacks (light
+  from other parts of the face, gloss, soft shadows) gets in here too, so two things are taken out: the trend
+  of log s_j with l_z, which lamps that are mounted alike do not have and oblique light does; and, by
+  shrinking log s_j, as much as four parts of the face disagree about a lamp, which changes all of them alike.
+
+Rendered faces with equal lamps then keep the normals that equal gains give within .2 degrees.
 """
 
 from __future__ import annotations
@@ -20,9 +26,10 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import minimize_scalar
 
 from sfsnet_dr.base.checks import BadInput
-from sfsnet_dr.fit.photometric_stereo import fit_pixels, is_valid
+from sfsnet_dr.fit.photometric_stereo import GRAZING, SCALE, fit_pixels, is_valid
 
 Array = npt.NDArray[np.float64]
 
@@ -30,13 +37,19 @@ Array = npt.NDArray[np.float64]
 FEWEST_FOR_GAINS: Final = 12
 #: Largest k; a slope beyond it would be no property of skin.
 _STEEPEST: Final = 1.0
-_ROUNDS: Final = 3
-#: Least l_z of the lights in which a trend is looked for.
-_IN_FRONT: Final = 0.05
+#: How exactly k is sought; its own uncertainty is a few times that.
+_EXACT: Final = 0.01
+_ROUNDS: Final = 5
+#: Rounds of reweighting in each fit of the surfaces.
+_REWEIGHTED: Final = 8
 #: A pixel says something about a lamp that it faces at least this much, and that its fit trusts this much.
 _FACING: Final = 0.25
 _TRUSTED: Final = 0.3
 _FEWEST_PIXELS: Final = 50
+#: The same for a part of the face, of which there are four.
+_FEWEST_IN_PART: Final = 10
+#: Variance of log s_j where fewer than two parts of the face see a lamp.
+_UNKNOWN: Final = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,58 +103,103 @@ def estimate_strobes(captures: Sequence[Shots]) -> Strobes:
     chosen = [shots for shots in captures if len(shots.lights) >= FEWEST_FOR_GAINS]
     if not chosen:
         return Strobes()
-    heights = {name: z for s in chosen for name, z in zip(s.lights, s.directions[:, 2], strict=True)}
-    # The trend falls about linearly with k: two values give its root, a third corrects it.
-    low, high = 0.0, 0.5
-    trends = [_trend(_strengths(chosen, k)[0], heights) for k in (low, high)]
-    oblique = _root(low, high, *trends)
-    oblique = _root(low, oblique, trends[0], _trend(_strengths(chosen, oblique)[0], heights))
+    oblique = _slope(chosen, {})
     strength, spread = _strengths(chosen, oblique)
-    return Strobes(strength, oblique, spread)
+    return Strobes(strength, _slope(chosen, strength), spread)
 
 
-def _root(a: float, b: float, at_a: float, at_b: float) -> float:
-    if abs(at_b - at_a) < 1e-6:
-        return a
-    return float(np.clip(a - at_a * (b - a) / (at_b - at_a), 0.0, _STEEPEST))
+def _slope(captures: Sequence[Shots], strength: Mapping[str, float]) -> float:
+    """k of the least residual for given s_j."""
+
+    def misfit(slope: float) -> float:
+        gains = Strobes(strength, slope)
+        return float(np.mean([_misfit(s, gains.gains(s.lights, s.directions)) for s in captures]))
+
+    # The bounded search never tries its ends, and lamps without any slope are the most likely ones.
+    found = minimize_scalar(misfit, bounds=(0.0, _STEEPEST), method="bounded", options={"xatol": _EXACT})
+    return 0.0 if misfit(0.0) <= found.fun else float(found.x)
 
 
-def _trend(strength: Mapping[str, float], heights: Mapping[str, float]) -> float:
-    """Slope of log s_j over l_z."""
-    names = sorted(name for name in strength if heights[name] > _IN_FRONT)
-    if len(names) < FEWEST_FOR_GAINS // 2:
-        return 0.0
-    x, y = np.array([heights[name] for name in names]), np.log([strength[name] for name in names])
-    return float(np.cov(x, y, bias=True)[0, 1] / np.var(x))
+def _misfit(shots: Shots, gains: Array) -> float:
+    """Mean of Cauchy's loss over the pixels that each light reaches."""
+    values, valid = shots.values / gains, is_valid(shots.values)
+    scaled, _ = fit_pixels(values, valid, shots.directions, rounds=_REWEIGHTED)
+    model, size = scaled @ shots.directions.T, np.linalg.norm(scaled, axis=1, keepdims=True) + 1e-9
+    reached = (valid > 0) & (model > GRAZING * size)
+    return float(np.log1p(((values - model) / (SCALE * size))[reached] ** 2).mean()) if reached.any() else 0.0
 
 
 def _strengths(captures: Sequence[Shots], oblique: float) -> tuple[dict[str, float], float]:
     """s_j for a given k by turns of fitting the surface and the lamps, and the captures' disagreement."""
-    strength: dict[str, float] = {}
-    ratios: dict[str, list[float]] = {}
+    heights = {name: z for s in captures for name, z in zip(s.lights, s.directions[:, 2], strict=True)}
+    names: list[str] = []
+    logs = np.zeros(0)
+    ratios: dict[str, list[Array]] = {}
     for _ in range(_ROUNDS):
+        known = Strobes(dict(zip(names, np.exp(logs), strict=True)), oblique)
         ratios = {}
         for shots in captures:
-            own = np.array([strength.get(light, 1.0) for light in shots.lights])
-            _add_ratios(ratios, shots, own * _oblique(oblique, shots.directions))
-        found = {name: strength.get(name, 1.0) * float(np.median(r)) for name, r in ratios.items()}
-        mean = float(np.exp(np.mean(np.log(list(found.values())))))
-        strength = {name: value / mean for name, value in found.items()}
-    several = [float(np.std(np.log(r))) for r in ratios.values() if len(r) > 1]
+            _add_ratios(ratios, shots, known.gains(shots.lights, shots.directions))
+        seen = [np.log(known.strength.get(name, 1.0)) + _mean(ratios[name])[0] for name in sorted(ratios)]
+        names, logs = sorted(ratios), np.array(seen)
+        logs = _without_trend(logs, np.array([heights[name] for name in names]))
+    logs = logs * _trust(logs, np.array([_doubt(_mean(ratios[name])[1:]) for name in names]))
+    several = [float(np.std([row[0] for row in ratios[name]])) for name in names if len(ratios[name]) > 1]
+    strength = {name: float(np.exp(value)) for name, value in zip(names, logs, strict=True)}
     return strength, float(np.mean(several)) if several else 0.0
 
 
-def _add_ratios(ratios: dict[str, list[float]], shots: Shots, gains: Array) -> None:
-    """What each light shows over what the model says, the median of its trusted pixels."""
+def _without_trend(values: Array, heights: Array) -> Array:
+    """Values without their mean and their slope over the heights, (N,)."""
+    if len(values) < FEWEST_FOR_GAINS // 2:
+        return np.zeros_like(values)
+    basis = np.stack([np.ones_like(heights), heights], 1)
+    return np.asarray(values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0])
+
+
+def _doubt(parts: Array) -> float:
+    """Variance of the mean over the parts of the face."""
+    known = parts[np.isfinite(parts)]
+    return float(known.var(ddof=1) / len(known)) if len(known) > 1 else _UNKNOWN
+
+
+def _trust(logs: Array, doubts: Array) -> Array:
+    """What to keep of each value: the lamps' own variance in shares of it and the value's uncertainty."""
+    own = max(float(np.var(logs) - np.mean(doubts)), 0.0) if len(logs) else 0.0
+    return np.asarray(own / (own + doubts + 1e-12))
+
+
+def _mean(rows: Sequence[Array]) -> Array:
+    """Mean over captures of what each said, where it said anything."""
+    table = np.array(rows)
+    known = np.isfinite(table)
+    total = np.where(known, table, 0.0).sum(0)
+    return np.asarray(np.where(known.any(0), total / np.maximum(known.sum(0), 1), np.nan))
+
+
+def _add_ratios(ratios: dict[str, list[Array]], shots: Shots, gains: Array) -> None:
+    """Log of what each light shows over what the model says: of all trusted pixels, and of four parts."""
     values, valid = shots.values / gains, is_valid(shots.values)
-    scaled, weights = fit_pixels(values, valid, shots.directions, rounds=8)
+    scaled, weights = fit_pixels(values, valid, shots.directions, rounds=_REWEIGHTED)
     model = scaled @ shots.directions.T
     size = np.linalg.norm(scaled, axis=1, keepdims=True)
     trusted = (valid > 0) & (model > _FACING * size) & (weights > _TRUSTED)
+    parts = _parts(scaled / np.maximum(size, 1e-9))
     for j, light in enumerate(shots.lights):
-        pixels = trusted[:, j]
-        if pixels.sum() >= min(_FEWEST_PIXELS, len(values) // 4):
-            ratios.setdefault(light, []).append(float(np.median(values[pixels, j] / model[pixels, j])))
+        if trusted[:, j].sum() < min(_FEWEST_PIXELS, len(values) // 4):
+            continue
+        log = np.log(values[:, j] / np.where(trusted[:, j], model[:, j], np.inf) + 1e-12)
+        medians = [np.median(log[trusted[:, j]])]
+        for part in range(4):
+            pixels = trusted[:, j] & (parts == part)
+            medians.append(np.median(log[pixels]) if pixels.sum() >= _FEWEST_IN_PART else np.nan)
+        ratios.setdefault(light, []).append(np.array(medians))
+
+
+def _parts(normal: Array) -> npt.NDArray[np.intp]:
+    """Which of four parts of the face a pixel is in, by where it faces: left or right, down or up."""
+    right, up = (normal[:, axis] > np.median(normal[:, axis]) for axis in (0, 1))
+    return np.asarray(2 * right.astype(np.intp) + up)
 
 
 def _oblique(slope: float, directions: Array) -> Array:

@@ -25,7 +25,7 @@ Array = npt.NDArray[np.float64]
 #: Pixels below this confidence are no ground truth and leave the mask.
 LEAST_CONFIDENCE: Final = 0.5
 #: Pixels of a capture from which the lamps' strengths are estimated.
-_SAMPLED: Final = 700
+_SAMPLED: Final = 350
 
 
 @dataclass(frozen=True, eq=False)

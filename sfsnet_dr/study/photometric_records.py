@@ -42,16 +42,20 @@ def label_records(listing: Listing, found: Labelled, command: str) -> list[Recor
 
 
 def check_records(errors: Mapping[int, Array], command: str) -> list[Record]:
-    """``stereo.rendered.lights<N>.mean_deg``: mean angle to the true normals, intervals over faces."""
+    """``stereo.rendered.lights<N>.mean_deg``: mean angle to the true normals, intervals over faces.
+
+    ``stereo.rendered.lights<N>.equal_lamps_deg`` is the same without estimating gains, which here are equal.
+    """
     return [
         measured(
-            f"stereo.rendered.lights{count}.mean_deg",
+            f"stereo.rendered.lights{count}.{name}",
             float(values.mean()),
             "degrees",
             command=command,
             interval=_ends(list(values)),
         )
-        for count, values in errors.items()
+        for count, both in errors.items()
+        for name, values in zip(("mean_deg", "equal_lamps_deg"), both.T, strict=True)
     ]
 
 

@@ -87,15 +87,15 @@ def check_on_rendered_faces(
         on_face: called after each.
 
     Returns:
-        Number of lights -> (faces,) degrees over the visible face skin. Gains are estimated where there are
-        lights enough; the true ones are all 1.
+        Number of lights -> (faces, 2) degrees over the visible face skin, with gains that are estimated where
+        there are lights enough, and with the true ones, all 1.
     """
     spec = spec or SceneSpec(
         "faces", "anny", camera=CameraSpec(size=size), head=HeadSpec(yaw=5.0, pitch=5.0, roll=0.0)
     )
     spec = replace(spec, camera=replace(spec.camera, size=size))
     lights = rig()
-    errors: dict[int, list[float]] = {count: [] for count in COUNTS}
+    errors: dict[int, list[list[float]]] = {count: [] for count in COUNTS}
     for seed in seeds:
         images, normal, mask = _render(spec, seed, lights, samples)
         for count in COUNTS:
@@ -103,8 +103,8 @@ def check_on_rendered_faces(
             names = tuple(str(light) for light in chosen)
             pixels = images[chosen].mean(-1)[:, mask].T
             gains = estimate_strobes([Shots(pixels, lights[chosen], names)]).gains(names, lights[chosen])
-            found = photometric_stereo(images[chosen], lights[chosen], gains)
-            errors[count].append(float(angles_deg(found.normal, normal)[mask].mean()))
+            found = [photometric_stereo(images[chosen], lights[chosen], g) for g in (gains, np.ones(count))]
+            errors[count].append([float(angles_deg(f.normal, normal)[mask].mean()) for f in found])
         on_face()
     return {count: np.array(values) for count, values in errors.items()}
 
