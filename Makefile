@@ -11,7 +11,7 @@ OUT ?= out/demo
 PYTHON_CYCLES ?= python3.11
 CYCLES := .venv-cycles
 
-.PHONY: train validation bench demo test test-all lint format setup cycles clean
+.PHONY: train evaluate validation bench demo test test-all lint format setup cycles clean
 
 demo: $(READY)
 	$(BIN)/sfsnet-dr demo --out $(OUT)
@@ -45,6 +45,13 @@ bench: $(READY)
 	cp out/bench-synth/records.json eval/results/synth.json
 	$(BIN)/sfsnet-dr bench relight --out out/bench-relight $(if $(ENVIRONMENTS),--environments $(ENVIRONMENTS))
 	cp out/bench-relight/records.json eval/results/relight.json
+
+# Every method on all data below DATA, which is a folder of Extended Yale B, of photographs with landmarks, of CelebA
+# or Photoface, or of such folders; FACES="DIR ..." adds rendered faces that lie elsewhere, QUICK=1 takes minutes.
+evaluate: $(READY)
+	@test -n "$(DATA)" || { echo "make evaluate: DATA=DIR is needed, a folder of faces" >&2; exit 2; }
+	$(BIN)/sfsnet-dr evaluate all $(DATA) $(if $(WEIGHTS),--weights $(WEIGHTS)) $(if $(FACES),--faces $(FACES)) \
+	  $(if $(QUICK),--quick) --out out/evaluate
 
 lint: $(READY)
 	$(BIN)/ruff check .

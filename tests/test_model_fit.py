@@ -112,9 +112,10 @@ def test_landmarks_of_a_capture_are_the_median_under_frontal_light(listing: List
 def test_baselines_that_cannot_run_are_left_out_or_refused(
     listing: Listing, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from test_evaluate import face
+    from test_evaluate import collected, face
 
-    faces = [face("yaleB01_P00", 0, [[0, 0, 1]]), face("yaleB02_P00", 0, [[0, 0, 1]])]
+    names = ("yaleB01_P00", "yaleB02_P00")
+    faces = [shot for name in names for shot in collected(face(name, 0, [[0, 0, 1]])).shots]
     methods, left_out = methods_for(faces, Wanted(), listing)
     assert [method.name for method in methods][:2] == ["flat", "mean-face"]
     assert "no landmarks found" in left_out["3dmm"]

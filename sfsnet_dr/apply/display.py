@@ -60,13 +60,14 @@ def png_bytes(picture: Pixels) -> bytes:
 
 @dataclass(frozen=True)
 class SheetStyle:
-    """Sizes of a sheet in pixels."""
+    """Sizes of a sheet in pixels; ``text`` is that of labels in points of 1/72 of 100 pixels."""
 
     cell: int = 256
     gap: int = 20
     margin: int = 28
     label: int = 30
     title: int = 56
+    text: int = 11
     ink: str = "#1c2024"
     soft: str = "#5d666f"
 
@@ -118,7 +119,7 @@ def sheet(
             axes.set_axis_off()
             exact = style.cell % max(picture.shape[:2]) == 0
             axes.imshow(picture, interpolation="nearest" if exact else "lanczos")
-            figure.text(x / width, (y - 9) / height, label, size=11, color=style.soft, va="top")
+            figure.text(x / width, (y - 9) / height, label, size=style.text, color=style.soft, va="top")
         buffer = io.BytesIO()
         figure.savefig(buffer, format="png", facecolor="white", metadata={"Software": None})
     return buffer.getvalue()

@@ -30,12 +30,15 @@ class Answer(NamedTuple):
         albedo: linear, up to a factor for each image, (B, 3, H, W).
         light: order-2 shading coefficients, (B, 27).
         image: linear reconstruction, (B, 3, H, W).
+        divided: whether the albedo is the image divided by the shading. The reconstruction is then the image
+            itself by construction, and no error of it is worth telling.
     """
 
     normal: Tensor
     albedo: Tensor
     light: Tensor
     image: Tensor
+    divided: bool = False
 
 
 class Method(Protocol):
@@ -185,7 +188,7 @@ def divided(normal: Tensor, light: Tensor, images: Tensor) -> Answer:
     shade = shading(normal, light)
     floor = 0.05 * shade.clamp_min(0).mean((1, 2, 3), keepdim=True) + 1e-6
     albedo = images / shade.clamp_min(0).maximum(floor)
-    return Answer(normal, albedo, light, albedo * shade)
+    return Answer(normal, albedo, light, albedo * shade, divided=True)
 
 
 def _grown(part: Tensor, size: int) -> Tensor:

@@ -102,19 +102,18 @@ class PhotometricStereo:
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Measure networks and baselines on real faces whose normals, albedo and lights are known.
+    """Measure networks and baselines on faces: normals, albedo, reconstruction, light, and their speed.
 
-    NAME yale-b or photoface: DIR is the database, and its truth is made by photometric stereo. NAME labels:
-    DIR is what `sfsnet-dr photometric-stereo` wrote. OUT gets records.json, table.csv and index.html, a page
-    that shows the people: mind the terms of the data.
+    DATA is yale-b or photoface (the truth is made by photometric stereo), labels (what `sfsnet-dr
+    photometric-stereo` wrote), lights (classification of a database's lights alone), celeba, synthetic
+    (folders of `sfsnet-dr synth`; the bundles that training holds back), or all: whatever of these DIR or its
+    folders hold. Without such a word, it is a folder of photographs with landmarks. OUT gets records.json,
+    table.csv and index.html, a page that shows the people: mind the terms of the data.
 
     Example: sfsnet-dr evaluate yale-b CroppedYale --weights out/sfsnet/weights.safetensors --out out/yale-b
     """
 
-    data: Positional[
-        Annotated[Literal["yale-b", "photoface", "labels"], arg(metavar="NAME", help="What DIR is.")]
-    ]
-    folder: DatabaseFolder
+    data: Positional[Annotated[tuple[str, ...], arg(metavar="DATA DIR", help="What to measure on.")]]
     out: Out
     weights: Annotated[
         tuple[Path, ...], arg(metavar="FILE", help="Weights of networks to measure beside the baselines.")
@@ -129,35 +128,38 @@ class Evaluate:
     model_path: Annotated[
         Path | None, arg(metavar="PATH", help="For 3dmm: ICT FaceKit, as `sfsnet-dr fit-lights` takes it.")
     ] = None
-    quick: Annotated[bool, arg(help="Four subjects and every fourth light.")] = False
+    faces: Annotated[
+        tuple[Path, ...], arg(metavar="DIR", help="For all: folders of rendered faces that lie elsewhere.")
+    ] = ()
+    most: Annotated[int, arg(help="Photographs of celeba, a folder or synthetic, at most.")] = 500
+    database: Annotated[
+        Literal["yale-b", "photoface", "multipie"], arg(help="Whose lights `lights` are.")
+    ] = "yale-b"
+    quick: Annotated[bool, arg(help="Four subjects, half of the lights, 60 photographs.")] = False
     as_json: Json = False
 
     def run(self) -> Result:
-        from sfsnet_dr.data.databases import open_database
-        from sfsnet_dr.data.surface_labels import load_surfaces, read_index
-        from sfsnet_dr.report.console import bar
+        from sfsnet_dr.base.checks import BadInput
         from sfsnet_dr.study.evaluate.choose import Wanted, methods_for
+        from sfsnet_dr.study.evaluate.collect import KINDS, Amount, collect
+        from sfsnet_dr.study.evaluate.everything import evaluate_all
         from sfsnet_dr.study.evaluate.run import evaluate
-        from sfsnet_dr.study.photometric import label_surfaces
 
-        listing = None
-        if self.data == "labels":
-            name, faces = read_index(self.folder)["database"], load_surfaces(self.folder)
-            faces = faces[:4] if self.quick else faces
-        else:
-            name, listing = self.data, open_database(self.data, self.folder)
-            if self.quick:
-                listing = listing.first_subjects(4)
-            with bar("photometric stereo", len(listing.captures())) as advance:
-                faces = label_surfaces(listing, halves=False, on_capture=advance).labels
-        lights = sorted({light for face in faces for light in face.lights})
+        kind, *rest = self.data or ("",)
+        folders = [Path(folder) for folder in rest]
+        if not rest and Path(kind).is_dir() and kind not in (*KINDS, "all"):
+            kind, folders = "folder", [Path(kind)]
+        amount = Amount(self.most, self.quick, self.database)
         wanted = Wanted(self.methods, self.weights, self.landmarks, self.model_path)
-        methods, left_out = methods_for(faces, wanted, listing)
-        with bar("measuring methods", len(methods)) as advance:
-            records = evaluate(
-                name, faces, methods, self.out, command_line(),
-                lights=lights[::4] if self.quick and len(lights) >= 16 else None,
-                on_method=advance,
-            )  # fmt: skip
+        if kind == "all":
+            if len(folders) != 1:
+                raise BadInput(f"all: {len(folders)} folders found, one is needed")
+            records, left_out = evaluate_all(folders[0], self.faces, wanted, self.out, amount, command_line())
+        else:
+            if self.faces:
+                raise BadInput(f"--faces: is for `all`; give the folders after {kind}")
+            collection = collect(kind, folders, amount)
+            methods, left_out = methods_for(collection.shots, wanted, collection.listing)
+            records = evaluate(collection, methods, self.out, command_line())
         lines = [f"left out: {name}: {reason}" for name, reason in left_out.items()]
         return of_records(records, *lines, f"page: {self.out / 'index.html'}")

@@ -11,7 +11,9 @@ from typing import Final
 from sfsnet_dr.base.checks import BadInput, nearest
 from sfsnet_dr.data import celeba, multipie, photoface, plain_folder, yale_b
 from sfsnet_dr.data.listing import Listing, read_face
+from sfsnet_dr.data.manifest import NAME as MANIFEST
 from sfsnet_dr.data.photo_set import Skipped
+from sfsnet_dr.data.surface_labels import INDEX
 
 DATABASES: Final[dict[str, Callable[[Path | str], Listing]]] = {
     yale_b.NAME: yale_b.list_yale_b,
@@ -19,6 +21,17 @@ DATABASES: Final[dict[str, Callable[[Path | str], Listing]]] = {
     multipie.NAME: multipie.list_multipie,
     celeba.NAME: celeba.list_celeba,
     plain_folder.NAME: plain_folder.list_folder,
+}
+
+#: What a folder of each kind has at its top, as patterns; the first kind that fits is the folder's.
+_SIGNS: Final[dict[str, tuple[str, ...]]] = {
+    "labels": (INDEX,),
+    "synthetic": (MANIFEST,),
+    yale_b.NAME: ("yaleB[0-9][0-9]", "yaleB[0-9][0-9]_P*"),
+    celeba.NAME: ("list_eval_partition.txt", "Eval/list_eval_partition.txt"),
+    multipie.NAME: ("session[0-9][0-9]",),
+    photoface.NAME: ("LightSource.m", "*/LightSource.m", "*/*/LightSource.m"),
+    plain_folder.NAME: ("landmarks.npz", "*_landmarks.npz", "*/landmarks.npz"),
 }
 
 #: Lights from which photometric stereo can be done.
@@ -34,6 +47,19 @@ def open_database(name: str, folder: Path | str) -> Listing:
     if name not in DATABASES:
         raise BadInput(f"database: {name!r} found; {nearest(name, DATABASES)}")
     return DATABASES[name](folder)
+
+
+def recognise(folder: Path | str) -> str | None:
+    """Which database a folder looks like; ``synthetic`` for rendered faces, ``labels`` for labelled ones.
+
+    None for anything else, such as pictures without landmarks.
+    """
+    folder = Path(folder)
+    for name, patterns in _SIGNS.items():
+        if any(next(folder.glob(pattern), None) is not None for pattern in patterns):
+            return name
+    beside = folder.with_name(f"{folder.name}_landmarks.npz")
+    return plain_folder.NAME if folder.is_dir() and beside.is_file() else None
 
 
 @dataclass(frozen=True)

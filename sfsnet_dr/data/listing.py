@@ -102,11 +102,13 @@ class CanonicalFace(NamedTuple):
         image: linear, (128, 128, 3); equal channels for a grey file.
         mask: share of each pixel that is face skin inside the photograph, (128, 128).
         grey: whether the file has one channel.
+        seen: share of each pixel that the photograph covers, (128, 128).
     """
 
     image: Image
     mask: Image
     grey: bool
+    seen: Image
 
 
 def read_face(photo: FacePhoto, linear: bool) -> CanonicalFace:
@@ -136,7 +138,7 @@ def read_face(photo: FacePhoto, linear: bool) -> CanonicalFace:
     mask = skin * seen
     if not (mask > 0.5).any():
         raise BadInput(f"{photo.path}: no face in the frame, its eyes or landmarks lie at the picture's edge")
-    return CanonicalFace(np.repeat(image, 3, axis=2) if grey else image, mask, grey)
+    return CanonicalFace(np.repeat(image, 3, axis=2) if grey else image, mask, grey, seen)
 
 
 def frontal_mask() -> Image:

@@ -114,6 +114,41 @@ def signed_colours(values: NDArray[np.floating], limit: float) -> NDArray[np.uin
     return np.asarray(np.round(255 * pixels), dtype=np.uint8)
 
 
+def error_colours(values: NDArray[np.floating], limit: float) -> NDArray[np.uint8]:
+    """A map (H, W) as pixels (H, W, 3): light where 0, dark at ``limit`` and above; NaN is white."""
+    shown = matplotlib.colormaps["magma_r"](np.clip(np.nan_to_num(values) / limit, 0.0, 1.0))
+    pixels = np.where(np.isnan(values)[..., None], 1.0, np.asarray(shown)[..., :3])
+    return np.asarray(np.round(255 * pixels), dtype=np.uint8)
+
+
+def lines_by_group(
+    groups: Sequence[str], lines: Mapping[str, Sequence[float | None]], *, label: str, groups_label: str = ""
+) -> bytes:
+    """A line with dots for each name over groups that stand in a row; None leaves a gap.
+
+    Args:
+        groups: their names, (N,).
+        lines: name -> values (N,).
+        label: what the values are, with the unit.
+        groups_label: what the groups are.
+    """
+    with matplotlib.rc_context(STYLE):
+        figure, axes = _axes(9.2, 3.8)
+        for index, (name, values) in enumerate(lines.items()):
+            shown = [np.nan if value is None else value for value in values]
+            style = ("-", "--", ":", "-.")[index // len(PALETTE) % 4]
+            axes.plot(
+                range(len(groups)), shown, style, color=PALETTE[index % len(PALETTE)], marker="o", label=name
+            )
+        axes.set_xticks(range(len(groups)), groups)
+        axes.grid(visible=False, axis="x")
+        axes.set_ylim(bottom=0)
+        axes.set_ylabel(label)
+        axes.set_xlabel(groups_label)
+        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+        return png(figure)
+
+
 def running_mean(values: NDArray[np.float64], window: int) -> NDArray[np.float64]:
     """Mean over the last ``window`` values, over fewer at the start; (N,) to (N,)."""
     total = np.concatenate(([0.0], np.cumsum(values)))

@@ -95,7 +95,17 @@ class Note:
     kind = "note"
 
 
-Block = str | Figure | Gallery | Table | KeyNumbers | Note
+@dataclass(frozen=True)
+class Link:
+    """A line that leads to another page beside this one."""
+
+    target: str
+    text: str
+
+    kind = "link"
+
+
+Block = str | Figure | Gallery | Table | KeyNumbers | Note | Link
 
 
 @dataclass(frozen=True)

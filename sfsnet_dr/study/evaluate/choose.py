@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 import torch
+from torch import Tensor
 
 from sfsnet_dr.apply.methods import FlatNormals, MeanNormals, Method, NetworkMethod
 from sfsnet_dr.apply.model_fit import ModelFit
@@ -23,9 +24,9 @@ from sfsnet_dr.base.checks import BadInput, nearest
 from sfsnet_dr.data.landmarks import canonical_landmarks
 from sfsnet_dr.data.listing import FacePhoto, Listing
 from sfsnet_dr.data.photo_set import find_landmarks, read_landmarks
-from sfsnet_dr.data.surface_labels import SurfaceLabels
 from sfsnet_dr.report.record import dotted
 from sfsnet_dr.scene.face_modes import load_face_modes
+from sfsnet_dr.study.evaluate.shots import Shot
 
 Array = npt.NDArray[np.float64]
 
@@ -51,14 +52,14 @@ class Wanted:
 
 
 def methods_for(
-    faces: Sequence[SurfaceLabels], wanted: Wanted, listing: Listing | None = None
+    shots: Sequence[Shot], wanted: Wanted, listing: Listing | None = None
 ) -> tuple[list[Method], dict[str, str]]:
     """The baselines, then a network for each file of weights, named by the file or its folder.
 
     Args:
-        faces: that will be measured.
+        shots: that will be measured.
         wanted: see there.
-        listing: the faces' photographs, None where they are not known.
+        listing: the photographs before they were read, None where they are not known.
 
     Returns:
         The methods, and why each baseline is missing that was not asked for by name.
@@ -69,8 +70,8 @@ def methods_for(
     """
     makers: dict[str, Callable[[], Method]] = {
         FlatNormals.name: FlatNormals,
-        MeanNormals.name: lambda: _mean_face(faces),
-        ModelFit.name: lambda: _model_fit(faces, wanted, listing),
+        MeanNormals.name: lambda: _mean_face(shots),
+        ModelFit.name: lambda: _model_fit(shots, wanted, listing),
     }
     for name in wanted.baselines:
         if name not in makers:
@@ -96,24 +97,25 @@ def _add(methods: list[Method], method: Method, source: str) -> None:
     methods.append(method)
 
 
-def _mean_face(faces: Sequence[SurfaceLabels]) -> MeanNormals:
-    subjects = sorted({face.subject for face in faces})
-    return MeanNormals(
-        {
-            subject: torch.stack([f.normal * (f.mask > 0.5) for f in faces if f.subject == subject]).mean(0)
-            for subject in subjects
-        }
-    )
+def _mean_face(shots: Sequence[Shot]) -> MeanNormals:
+    """Of normals that are known, means of each subject over its captures, 0 outside of their masks."""
+    captures: dict[str, dict[str, Tensor]] = {}
+    for shot in shots:
+        if shot.normal is not None and shot.capture not in captures.setdefault(shot.subject, {}):
+            captures[shot.subject][shot.capture] = shot.normal * (shot.mask > 0.5)
+    return MeanNormals({name: torch.stack(list(each.values())).mean(0) for name, each in captures.items()})
 
 
-def _model_fit(faces: Sequence[SurfaceLabels], wanted: Wanted, listing: Listing | None) -> ModelFit:
+def _model_fit(shots: Sequence[Shot], wanted: Wanted, listing: Listing | None) -> ModelFit:
     if listing is None:
         raise BadInput("labels do not say where the photographs have the eyes; evaluate the database itself")
-    known = read_landmarks(wanted.landmarks or find_landmarks(listing.folder))
+    own = wanted.landmarks is None and all(photo.points is not None for photo in listing.photos)
+    known = {} if own else read_landmarks(wanted.landmarks or find_landmarks(listing.folder))
     marks = capture_landmarks(listing, known)
-    missing = [face.name for face in faces if face.name not in marks]
+    captures = sorted({shot.capture for shot in shots})
+    missing = [name for name in captures if name not in marks]
     if missing:
-        raise BadInput(f"no landmarks of {missing[0]} ({len(missing)} of {len(faces)} captures have none)")
+        raise BadInput(f"no landmarks of {missing[0]} ({len(missing)} of {len(captures)} captures have none)")
     if wanted.model_path is None:
         raise BadInput("a face model is needed; --model-path names ICT FaceKit")
     return ModelFit(load_face_modes(wanted.model_path), marks)
@@ -124,11 +126,14 @@ def capture_landmarks(listing: Listing, known: Mapping[str, Array]) -> dict[str,
 
     Args:
         listing: the photographs.
-        known: landmarks in their pixels, by their path below the database's folder or by their file's name.
+        known: landmarks in their pixels, by their path below the database's folder or by their file's name;
+            a photograph's own ones stand for those that are not in it.
     """
     found = {}
     for capture, photos in listing.captures().items():
-        marked = {photo.name: known.get(photo.name, known.get(photo.path.name)) for photo in photos}
+        marked = {
+            photo.name: known.get(photo.name, known.get(photo.path.name, photo.points)) for photo in photos
+        }
         usable = [photo for photo in photos if _is_whole(marked[photo.name])]
         frontal = [photo for photo in usable if _is_frontal(photo)]
         rows = [canonical_landmarks(np.asarray(marked[p.name]), p.eyes) for p in frontal or usable]

@@ -1,4 +1,4 @@
-"""One method on faces with known normals, albedo and lights: what is kept of every image."""
+"""One method on photographs: what is kept of every one."""
 
 from __future__ import annotations
 
@@ -11,11 +11,14 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from sfsnet_dr.apply.methods import Answer, Method, for_capture
-from sfsnet_dr.data.surface_labels import SurfaceLabels
+from sfsnet_dr.apply.methods import Answer, Method, OfCapture, for_capture
+from sfsnet_dr.base.checks import WorkFailed
+from sfsnet_dr.base.color import delta_e_2000
 from sfsnet_dr.metrics.image import mae_8bit, rmse_8bit
 from sfsnet_dr.metrics.light_classes import light_direction
 from sfsnet_dr.metrics.normals import angles_deg
+from sfsnet_dr.study.evaluate.regions import REGIONS, face_regions
+from sfsnet_dr.study.evaluate.shots import Shot
 
 Array = npt.NDArray[np.float64]
 
@@ -25,97 +28,148 @@ BATCH: Final = 16
 
 @dataclass(frozen=True)
 class ImageErrors:
-    """Errors of one image.
+    """Errors of one photograph; None where its truth is not known or the number would mean nothing.
 
     Attributes:
-        subject, light: whom it shows, and the name of its light.
-        angle: of the light from the viewer's direction, degrees.
-        pixels: number of pixels whose normals count.
-        total, squares: sum of the normals' angular errors (degrees) and of their squares.
-        below: number of pixels below each of ``LIMITS``.
+        shot: which.
+        coefficients: estimated shading coefficients, 27.
+        normals: see ``NormalSums``.
         albedo: RMS error relative to the true albedo's RMS, after the best factor.
         mae, rmse: of the reconstruction, 8-bit sRGB units.
+        delta_e: mean Delta E 2000 of the reconstruction; of colour photographs only.
+        light: length of the error of the light's coefficients relative to theirs, after the best factor.
         light_deg: angle between the estimated and the true direction of light.
-        coefficients: estimated shading coefficients, 27.
     """
 
-    subject: str
-    light: str
-    angle: float
-    pixels: int
-    total: float
-    squares: float
-    below: tuple[int, int, int]
-    albedo: float
-    mae: float
-    rmse: float
-    light_deg: float
+    shot: Shot = field(repr=False)
     coefficients: Array = field(repr=False)
+    normals: NormalSums | None = None
+    albedo: float | None = None
+    mae: float | None = None
+    rmse: float | None = None
+    delta_e: float | None = None
+    light: float | None = None
+    light_deg: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class NormalSums:
+    """Sums over the pixels of one photograph, from which those of many are pooled.
+
+    Attributes:
+        all: number of pixels, sum of the angular errors (degrees), sum of their squares, and the number of
+            pixels below each of ``LIMITS``, (6,).
+        regions: number of pixels and sum of errors of each of ``REGIONS``, (6, 2).
+    """
+
+    all: Array
+    regions: Array
+
+    @property
+    def mean(self) -> float:
+        """Mean error of the photograph, degrees."""
+        return float(self.all[1] / self.all[0])
 
 
 @dataclass(frozen=True)
 class Measured:
-    """A method's errors, and how many images a second it answers."""
+    """A method's errors, and how many photographs a second it answers."""
 
     method: str
     images: list[ImageErrors]
     images_per_s: float
 
 
+def answers(method: Method, shots: Sequence[Shot]) -> Answer:
+    """A method's answer for some photographs of one size."""
+    if isinstance(method, OfCapture):
+        return _joined([_answer(for_capture(method, shot.capture), [shot]) for shot in shots])
+    return _answer(method, shots)
+
+
+def _answer(method: Method, shots: Sequence[Shot]) -> Answer:
+    images, masks = (torch.stack([getattr(shot, name) for shot in shots]) for name in ("image", "mask"))
+    with torch.no_grad():
+        return method(images, masks, [shot.subject for shot in shots])
+
+
+def _joined(parts: Sequence[Answer]) -> Answer:
+    return Answer(
+        torch.cat([part.normal for part in parts]),
+        torch.cat([part.albedo for part in parts]),
+        torch.cat([part.light for part in parts]),
+        torch.cat([part.image for part in parts]),
+        all(part.divided for part in parts),
+    )
+
+
 def measure(
-    method: Method,
-    faces: Sequence[SurfaceLabels],
-    lights: Sequence[str] | None = None,
-    on_batch: Callable[[], object] = lambda: None,
+    method: Method, shots: Sequence[Shot], on_batch: Callable[[int], object] = lambda count: None
 ) -> Measured:
-    """Put every image to a method.
+    """Put every photograph to a method.
 
     Args:
         method: which.
-        faces: with their truth.
-        lights: names of those that take part; all if not given.
-        on_batch: called after each batch of a face.
+        shots: with their truth.
+        on_batch: called with the number of photographs after each batch.
 
     Returns:
-        The errors in the order of faces and lights. Time counts the method's own work.
+        The errors in the order of the photographs. Time counts the method's own work, after a first call
+        that prepares it.
+
+    Raises:
+        WorkFailed: if an answer is not finite.
     """
     found, seconds = [], 0.0
-    for face in faces:
-        chosen = [j for j, name in enumerate(face.lights) if lights is None or name in lights]
-        for begin in range(0, len(chosen), BATCH):
-            rows = chosen[begin : begin + BATCH]
-            images = face.images[rows]
-            masks = face.mask[None].expand(len(rows), -1, -1, -1)
-            start = time.perf_counter()
-            with torch.no_grad():
-                answer = for_capture(method, face.name)(images, masks, [face.subject] * len(rows))
-            seconds += time.perf_counter() - start
-            found += [_errors(face, j, answer, index) for index, j in enumerate(rows)]
-            on_batch()
+    answers(method, shots[:1])
+    for begin in range(0, len(shots), BATCH):
+        part = shots[begin : begin + BATCH]
+        start = time.perf_counter()
+        answer = answers(method, part)
+        seconds += time.perf_counter() - start
+        found += [_errors(method.name, shot, answer, index) for index, shot in enumerate(part)]
+        on_batch(len(part))
     return Measured(method.name, found, len(found) / max(seconds, 1e-9))
 
 
-def _errors(face: SurfaceLabels, row: int, answer: Answer, index: int) -> ImageErrors:
-    mask = face.mask[0].numpy() > 0.5
-    angles = angles_deg(_pixels(answer.normal[index], mask), _pixels(face.normal, mask))
-    image = np.moveaxis(face.images[row].double().numpy(), 0, -1)
-    drawn = np.moveaxis(np.nan_to_num(answer.image[index].double().numpy()), 0, -1)
+def _errors(method: str, shot: Shot, answer: Answer, index: int) -> ImageErrors:
+    mask = shot.mask[0].numpy() > 0.5
+    normal, albedo, image = (
+        _pixels(part[index], mask) for part in (answer.normal, answer.albedo, answer.image)
+    )
     light = answer.light[index].double().numpy()
-    direction = face.direction[row].double().numpy()
-    below = tuple(int((angles < limit).sum()) for limit in LIMITS)
+    if not all(np.isfinite(part).all() for part in (normal, albedo, image, light)):
+        raise WorkFailed(f"{method}: its answer for {shot.name} is not finite")
+    true = _pixels(shot.image, mask)
+    drawn = image[:, None], true[:, None]
+    direction = shot.direction
+    if direction is None and shot.coefficients is not None:
+        direction = light_direction(shot.coefficients[None])[0]
+    tells = not answer.divided
     return ImageErrors(
-        subject=face.subject,
-        light=face.lights[row],
-        angle=float(angles_deg(direction, [0, 0, 1])),
-        pixels=len(angles),
-        total=float(angles.sum()),
-        squares=float((angles**2).sum()),
-        below=(below[0], below[1], below[2]),
-        albedo=scaled_rms(_pixels(answer.albedo[index], mask), _pixels(face.albedo.expand(3, -1, -1), mask)),
-        mae=mae_8bit(drawn, image, mask),
-        rmse=rmse_8bit(drawn, image, mask),
-        light_deg=float(angles_deg(light_direction(light), direction)[0]),
+        shot=shot,
         coefficients=light,
+        normals=None if shot.normal is None else _sums(normal, shot, mask),
+        albedo=None if shot.albedo is None else scaled_rms(albedo, _pixels(shot.albedo, mask)),
+        mae=mae_8bit(*drawn) if tells else None,
+        rmse=rmse_8bit(*drawn) if tells else None,
+        delta_e=float(delta_e_2000(np.clip(image, 0, 1), true).mean()) if tells and not shot.grey else None,
+        light=None if shot.coefficients is None else scaled_rms(light, shot.coefficients),
+        light_deg=None
+        if direction is None
+        else float(angles_deg(light_direction(light[None]), direction[None])[0]),
+    )
+
+
+def _sums(normal: Array, shot: Shot, mask: npt.NDArray[np.bool_]) -> NormalSums:
+    assert shot.normal is not None
+    angles = angles_deg(normal, _pixels(shot.normal, mask))
+    below = [float((angles < limit).sum()) for limit in LIMITS]
+    regions = face_regions(mask)
+    parts = [angles[regions[name][mask]] for name in REGIONS]
+    return NormalSums(
+        np.array([len(angles), angles.sum(), (angles**2).sum(), *below]),
+        np.array([[len(part), part.sum()] for part in parts], np.float64),
     )
 
 
@@ -123,7 +177,7 @@ def scaled_rms(found: Array, true: Array) -> float:
     """RMS of s * found - true over the RMS of true, with the best factor s; 1 where found is 0."""
     power = float((found * found).sum())
     factor = float((found * true).sum()) / power if power > 0 else 0.0
-    return float(np.sqrt(((factor * found - true) ** 2).sum() / (true * true).sum()))
+    return float(np.sqrt(((factor * found - true) ** 2).sum() / max(float((true * true).sum()), 1e-12)))
 
 
 def _pixels(planes: torch.Tensor, mask: npt.NDArray[np.bool_]) -> Array:

@@ -1,0 +1,83 @@
+"""Everything that a folder holds, measured with the same methods: a page each, and one over all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from sfsnet_dr.base.atomic import output_dir
+from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.data.databases import recognise
+from sfsnet_dr.report.html import Block, Link, Section, write_page
+from sfsnet_dr.report.record import Record, write_records
+from sfsnet_dr.study.evaluate.choose import Wanted, methods_for
+from sfsnet_dr.study.evaluate.collect import KINDS, Amount, collect
+from sfsnet_dr.study.evaluate.page import lead_text
+from sfsnet_dr.study.evaluate.run import evaluate
+from sfsnet_dr.study.evaluate.tables import tables
+
+#: What `all` looks for, in this order; ``lights`` are in yale-b's own numbers.
+_ORDER: Final = ("yale-b", "photoface", "labels", "celeba", "folder", "synthetic")
+
+
+def find_data(folder: Path, faces: Sequence[Path] = ()) -> list[tuple[str, list[Path]]]:
+    """Kinds of data in a folder or right below it, with their folders; rendered faces are taken together.
+
+    Raises:
+        BadInput: if there is none, or two of a kind.
+    """
+    if not folder.is_dir():
+        raise BadInput(f"{folder}: no such folder; a folder of face data is needed")
+    found: dict[str, list[Path]] = {"synthetic": list(faces)}
+    own = recognise(folder)
+    places = [folder] if own else sorted(path for path in folder.iterdir() if path.is_dir())
+    for place in places:
+        kind = recognise(place)
+        if kind in _ORDER:
+            found.setdefault(kind, []).append(place)
+    for kind, several in found.items():
+        if len(several) > 1 and kind != "synthetic":
+            raise BadInput(f"{folder}: {several[0].name} and {several[1].name} both look like {kind}; "
+                           "evaluate each alone")  # fmt: skip
+    chosen = [(kind, found[kind]) for kind in _ORDER if found.get(kind)]
+    if not chosen:
+        known = ", ".join(KINDS)
+        raise BadInput(f"{folder}: none of {known} found in it; see `sfsnet-dr data check --help`")
+    return chosen
+
+
+def evaluate_all(
+    folder: Path, faces: Sequence[Path], wanted: Wanted, out: Path, amount: Amount, command: str
+) -> tuple[list[Record], dict[str, str]]:
+    """Evaluate each kind of data into a folder of its name, and write a page and the records of all.
+
+    Args:
+        folder: see ``find_data``.
+        faces: folders of rendered faces that lie elsewhere.
+        wanted: the methods.
+        out: folder, made if missing.
+        amount: how much of the data.
+        command: for the records.
+
+    Returns:
+        All records, and why baselines are missing, by kind of data and name.
+    """
+    target = output_dir(out)
+    records: list[Record] = []
+    left_out: dict[str, str] = {}
+    sections = []
+    for kind, folders in find_data(folder, faces):
+        collection = collect(kind, folders, amount)
+        methods, missing = methods_for(collection.shots, wanted, collection.listing)
+        left_out |= {f"{kind}: {name}": reason for name, reason in missing.items()}
+        own = evaluate(collection, methods, target / kind, command)
+        names = [method.name for method in methods]
+        blocks: list[Block] = [lead_text(collection, names), *tables(collection.data, names, own)]
+        link = Link(f"{kind}/index.html", f"All of {kind}: figures, pictures, what was left out")
+        sections.append(Section(f"On {kind}", [*blocks, link]))
+        records += own
+    write_records(target / "records.json", records)
+    lead = "The same methods on all data at hand. Every number with its interval is in `records.json`."
+    write_page(target / "index.html", "Evaluation", lead, sections)
+    return records, left_out
