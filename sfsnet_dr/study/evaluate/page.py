@@ -12,12 +12,12 @@ from sfsnet_dr.apply.methods import Method, NetworkMethod
 from sfsnet_dr.report.figures import lines_by_group
 from sfsnet_dr.report.html import Block, Figure, Section, Table, write_page
 from sfsnet_dr.report.record import Record, dotted
-from sfsnet_dr.study.evaluate.shown import for_decomposition, for_transfer, leading, shown_first
 from sfsnet_dr.study.evaluate.extremes import SHARE, Extremes, examples, extremes
 from sfsnet_dr.study.evaluate.measure import Measured
 from sfsnet_dr.study.evaluate.pictures import decompositions, ranked, side_by_side, transfers
 from sfsnet_dr.study.evaluate.regions import REGIONS
 from sfsnet_dr.study.evaluate.shots import Collection
+from sfsnet_dr.study.evaluate.shown import for_decomposition, for_transfer, leading, shown_first
 from sfsnet_dr.study.evaluate.summary import BINS, bin_name, classified, region_name
 from sfsnet_dr.study.evaluate.tables import tables
 
