@@ -72,7 +72,7 @@ class WeightsCheck:
 
 @dataclass(frozen=True)
 class WeightsPack:
-    """Keep a network's large tensors in eight bits: a quarter of the bytes.
+    """Keep a network's large tensors in eight bits: a quarter of the bytes, and no path of this machine.
 
     Example: sfsnet-dr weights pack out/sfsnet/weights.safetensors --out sfsnet.safetensors
     """
@@ -85,6 +85,11 @@ class WeightsPack:
         from sfsnet_dr.model.weights import load_weights, read_metadata, save_weights
         from sfsnet_dr.report.record import measured
 
-        save_weights(self.out, load_weights(self.weights), read_metadata(self.weights), eight_bit=True)
+        metadata = read_metadata(self.weights)
+        light = metadata.get("recipe", {}).get("data", {}).get("light", {})
+        for key in ("environments", "mixture"):
+            if light.get(key):
+                light[key] = Path(light[key]).name
+        save_weights(self.out, load_weights(self.weights), metadata, eight_bit=True)
         size = measured("weights.bytes", self.out.stat().st_size, "B", command=command_line())
         return of_records([size], f"written: {self.out}")
