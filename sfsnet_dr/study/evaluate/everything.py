@@ -30,9 +30,11 @@ def find_data(folder: Path, faces: Sequence[Path] = ()) -> list[tuple[str, list[
     if not folder.is_dir():
         raise BadInput(f"{folder}: no such folder; a folder of face data is needed")
     found: dict[str, list[Path]] = {"synthetic": list(faces)}
+    parts = sorted(path for path in folder.iterdir() if path.is_dir())
     own = recognise(folder)
-    places = [folder] if own else sorted(path for path in folder.iterdir() if path.is_dir())
-    for place in places:
+    if own == "folder" and {recognise(part) for part in parts} - {None, "folder"}:
+        own = None  # photographs beside other data, and no folder of folders of photographs
+    for place in parts if own is None else [folder]:
         kind = recognise(place)
         if kind in _ORDER:
             found.setdefault(kind, []).append(place)
@@ -63,11 +65,12 @@ def evaluate_all(
     Returns:
         All records, and why baselines are missing, by kind of data and name.
     """
+    data = find_data(folder, faces)
     target = output_dir(out)
     records: list[Record] = []
     left_out: dict[str, str] = {}
     sections = []
-    for kind, folders in find_data(folder, faces):
+    for kind, folders in data:
         collection = collect(kind, folders, amount)
         methods, missing = methods_for(collection.shots, wanted, collection.listing)
         left_out |= {f"{kind}: {name}": reason for name, reason in missing.items()}

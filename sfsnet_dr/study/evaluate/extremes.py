@@ -17,21 +17,24 @@ Array = npt.NDArray[np.float64]
 
 #: The share of photographs that counts as best or worst, as in the paper.
 SHARE: Final = 0.05
-#: A cause stands out if it is this many standard deviations above the mean of all photographs.
-_STANDS_OUT: Final = 1.0
+#: A cause stands out if its distance from the mean of all photographs, in standard deviations, times its rank
+#: correlation with the error is above this.
+_STANDS_OUT: Final = 0.3
 
 
 @dataclass(frozen=True)
 class Cause:
     """Means of one possible cause over the best, all and the worst photographs.
 
-    ``rank`` is its rank correlation with the error over all of them, NaN where it never varies.
+    ``spread`` is its standard deviation over all, ``rank`` its rank correlation with the error over all of
+    them, NaN where it never varies.
     """
 
     name: str
     best: float
     all: float
     worst: float
+    spread: float
     rank: float
 
 
@@ -68,11 +71,8 @@ def extremes(images: Sequence[ImageErrors]) -> Extremes | None:
         values = np.array([e.shot.causes[name] for e in ranked])
         varies = np.ptp(values) > 0 and np.ptp(scores) > 0
         rank = float(spearmanr(values, scores).statistic) if varies else float("nan")
-        causes.append(
-            Cause(
-                name, float(values[:count].mean()), float(values.mean()), float(values[-count:].mean()), rank
-            )
-        )
+        best, middle, worst = (float(part.mean()) for part in (values[:count], values, values[-count:]))
+        causes.append(Cause(name, best, middle, worst, float(values.std()), rank))
     unit = "8-bit" if ranked[0].normals is None else "deg"
     return Extremes(ranked[:count], ranked[::-1][:count], causes, unit)
 
@@ -86,17 +86,22 @@ def examples(images: Sequence[ImageErrors], most: int) -> list[ImageErrors]:
     return chosen + rest[: most - len(chosen)]
 
 
-def reason(shot: Shot, images: Sequence[ImageErrors]) -> str:
-    """The cause that is furthest above its mean over all photographs, with its value; a word if none is."""
+def reason(shot: Shot, causes: Sequence[Cause]) -> str:
+    """The cause that tells most of a photograph's error, with its value; or that none does.
+
+    It is the one furthest from its mean in the direction in which errors grow, weighted with their rank
+    correlation.
+    """
     best, text = _STANDS_OUT, "nothing stands out"
-    for name, value in shot.causes.items():
-        values = np.array([e.shot.causes[name] for e in images if name in e.shot.causes])
-        above = (value - values.mean()) / values.std() if values.std() > 0 else 0.0
-        if above > best:
-            best, text = float(above), written(name, value)
+    for cause in causes:
+        away = (shot.causes[cause.name] - cause.all) / cause.spread if cause.spread > 0 else 0.0
+        says = away * float(np.nan_to_num(cause.rank))
+        if says > best:
+            best, text = says, written(cause.name, shot.causes[cause.name], few=away < 0)
     return text
 
 
-def written(name: str, value: float) -> str:
-    """A cause with its value and unit: ``cast shadow 31 %``, ``light 95 deg``."""
-    return f"{name.removesuffix(' (deg)')} {value:.0f} {'deg' if name.endswith('(deg)') else '%'}"
+def written(name: str, value: float, few: bool = False) -> str:
+    """A cause with its value and unit: ``cast shadow 31 %``, ``light only 5 deg``."""
+    unit = "deg" if name.endswith("(deg)") else "%"
+    return f"{name.removesuffix(' (deg)')} {'only ' if few else ''}{value:.0f} {unit}"

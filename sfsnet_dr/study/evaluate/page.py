@@ -153,10 +153,11 @@ def _extremes(method: Method, measured: Measured, found: Extremes) -> list[Block
     what = "of normals" if found.unit == "deg" else "of the reconstruction (RMSE)"
     blocks: list[Block] = [
         Figure(
-            ranked(method, examples(part, _EXAMPLES), measured.images, found.unit, why=word == "worst"),
+            ranked(method, examples(part, _EXAMPLES), found.unit, found.causes if word == "worst" else ()),
             f"{method.name}: examples out of the {word} {share} by the error {what}"
             + (
-                ". Below the last picture: what is furthest above its mean over all photographs."
+                ". Below the last picture: what is furthest from its mean over all photographs, on the side "
+                "where errors grow, weighted with how much they do."
                 if word == "worst"
                 else "."
             ),

@@ -26,7 +26,7 @@ from sfsnet_dr.base.color_torch import linear_to_srgb, srgb_to_linear
 from sfsnet_dr.metrics.normals import angles_deg
 from sfsnet_dr.render.shading_torch import shading
 from sfsnet_dr.report.figures import error_colours
-from sfsnet_dr.study.evaluate.extremes import reason, score
+from sfsnet_dr.study.evaluate.extremes import Cause, reason, score
 from sfsnet_dr.study.evaluate.measure import ImageErrors, answers
 from sfsnet_dr.study.evaluate.shots import Shot
 
@@ -41,7 +41,7 @@ _NOTHING: Final[Cell] = ("", np.full((128, 128, 3), 255, np.uint8))
 
 def _sheet(cells: Sequence[Cell], columns: int, shots: Sequence[Shot]) -> bytes:
     """Cells of twice the page's pixels, cut to the square that holds all of what the photographs show."""
-    cell = min(256, (1840 - 24 * (columns - 1)) // columns)
+    cell = min(286, (1840 - 24 * (columns - 1)) // columns)
     style = SheetStyle(cell=cell, gap=24, margin=4, label=44, text=17 if columns <= 6 else 15)
     shown = np.max([shot.shown for shot in shots], axis=0) > 0.5
     rows, across = (np.flatnonzero(shown.any(axis)) for axis in (1, 0))
@@ -108,7 +108,9 @@ def transfers(method: Method, pairs: Sequence[Pair]) -> bytes:
     for pair in pairs:
         answer = answers(method, [pair.first, pair.second])
         photos = [("A", pair.first), ("B", pair.second)]
-        cells += [(f"{word} {shot.light}".strip(), photograph(shot)) for word, shot in photos]
+        cells += [
+            (f"{word}: {shot.light}" if shot.light else word, photograph(shot)) for word, shot in photos
+        ]
         for index, shot, other, so, words in (
             (0, pair.first, 1, pair.first_so, ("A in the light of B", "A photographed so")),
             (1, pair.second, 0, pair.second_so, ("B in the light of A", "B photographed so")),
@@ -120,10 +122,15 @@ def transfers(method: Method, pairs: Sequence[Pair]) -> bytes:
     return _sheet(cells, 6 if with_truth else 4, [shot for p in pairs for shot in (p.first, p.second)])
 
 
-def ranked(
-    method: Method, chosen: Sequence[ImageErrors], every: Sequence[ImageErrors], unit: str, why: bool
-) -> bytes:
-    """A row of each: the photograph with its error, what the method found, and where it is wrong."""
+def ranked(method: Method, chosen: Sequence[ImageErrors], unit: str, why: Sequence[Cause] = ()) -> bytes:
+    """A row of each: the photograph with its error, what the method found, and where it is wrong.
+
+    Args:
+        method: which.
+        chosen: photographs with its errors.
+        unit: of the errors.
+        why: causes of which the strongest is named below the last picture, if given.
+    """
     answer = answers(method, [e.shot for e in chosen])
     cells: list[Cell] = []
     for index, errors in enumerate(chosen):
@@ -139,7 +146,7 @@ def ranked(
             light = torch.from_numpy(directional(VIEW_LIGHTS["left"]).flat()).float()
             cells.append(("lit from the left", _scaled(_under(method, answer, index, light), shot)))
         if why:
-            cells[-1] = (reason(shot, every), cells[-1][1])
+            cells[-1] = (reason(shot, why), cells[-1][1])
     return _sheet(cells, len(cells) // len(chosen), [errors.shot for errors in chosen])
 
 

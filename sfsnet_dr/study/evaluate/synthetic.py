@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -14,6 +13,7 @@ from sfsnet_dr.data.batch import FaceBatch
 from sfsnet_dr.data.dataset import Faces, RelitFaces, load_faces
 from sfsnet_dr.data.light_bank import draw_bank
 from sfsnet_dr.data.manifest import Manifest
+from sfsnet_dr.data.photo_effects import PhotoOptions
 from sfsnet_dr.metrics.light_classes import light_direction
 from sfsnet_dr.study.evaluate.shots import Collection, Shot, picture_causes
 
@@ -26,6 +26,8 @@ TRUTH: Final = (
 #: Bundles that are held back, as the recipes of training do, and pictures of each.
 HELD_BACK: Final = 100
 _PICTURES: Final = 5
+#: How the pictures vary.
+OPTIONS: Final = Augmentation(photo=PhotoOptions(grey=0.0))
 _SEED: Final = 5_000_011
 _LIGHTS: Final = 256
 _BATCH: Final = 10
@@ -45,11 +47,9 @@ def synthetic(
     held_back = min(HELD_BACK, (known - 1) // 2)
     faces = load_faces(folders, held_back=max(held_back, 0), held=held_back > 0)
     count = min(most, _PICTURES * len(faces))
-    options = Augmentation()
-    options = replace(options, photo=replace(options.photo, grey=0.0), held_back=0)
-    bank = draw_bank(options.light, _LIGHTS, _SEED)
+    bank = draw_bank(OPTIONS.light, _LIGHTS, _SEED)
     size = min(_BATCH, count)
-    source = RelitFaces(faces, size, options, _SEED, bank)
+    source = RelitFaces(faces, size, OPTIONS, _SEED, bank)
     shots: list[Shot] = []
     for step in range(-(-count // size)):
         batch, indices = source.batch(step), source.indices(step)
