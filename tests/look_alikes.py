@@ -55,7 +55,7 @@ def crop_normals() -> Array:
 
     width, height = CROP_SIZE
     normal = resampled(ball(height, width), CROP_EYES).astype(np.float64)
-    return np.asarray(normal / np.linalg.norm(normal, axis=-1, keepdims=True))
+    return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9))
 
 
 def write_celeba(folder: Path, count: int = 4) -> Path:

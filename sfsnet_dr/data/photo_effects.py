@@ -27,7 +27,7 @@ READ_NOISE: Final = 0.02
 
 #: Where a photograph may end within the canonical frame: greatest depth from the left, top, right and bottom,
 #: in shares of the frame. Databases of cropped faces keep little more than brows, cheeks and mouth.
-DEEPEST_CROP: Final = (0.27, 0.26, 0.27, 0.22)
+DEEPEST_CROP: Final = np.array([0.27, 0.26, 0.27, 0.22])
 
 #: Blur, pixels, below which the neighbours' weights are smaller than float32's rounding.
 _SHARP: Final = 0.05
@@ -45,8 +45,8 @@ class PhotoOptions:
         jpeg: share of images that went through a JPEG file.
         quality: range of its quality.
         grey: share of images without colour.
-        cropped: share of images that end within the frame, as tightly cropped photographs do; beyond their
-            border it is repeated or black.
+        cropped: share of images that end within the frame, as tightly cropped photographs do; what lies
+            beyond is black.
 
     Raises:
         BadInput: for values out of range.
@@ -87,7 +87,6 @@ class PhotoEffects:
         seed: of the noise.
         frame: first and last (exclusive) column and row that the photograph has, as shares (left, top, right,
             bottom) of the frame; None for all.
-        repeated: whether the border is repeated beyond, else it is black.
     """
 
     gain: NDArray[np.float64]
@@ -97,7 +96,6 @@ class PhotoEffects:
     grey: bool
     seed: int
     frame: tuple[float, float, float, float] | None = None
-    repeated: bool = True
 
 
 def sample_effects(rng: np.random.Generator, options: PhotoOptions) -> PhotoEffects:
@@ -108,7 +106,7 @@ def sample_effects(rng: np.random.Generator, options: PhotoOptions) -> PhotoEffe
     noise = rng.uniform(0.0, options.noise)
     compressed, quality = rng.random() < options.jpeg, int(rng.integers(*options.quality, endpoint=True))
     grey, seed = rng.random() < options.grey, int(rng.integers(2**32))
-    frame, repeated = _sample_frame(rng, options.cropped) if options.cropped else (None, True)
+    frame = _sample_frame(rng, options.cropped) if options.cropped else None
     return PhotoEffects(
         gain=2.0**stops,
         blur=float(blur) if blurred else 0.0,
@@ -117,17 +115,16 @@ def sample_effects(rng: np.random.Generator, options: PhotoOptions) -> PhotoEffe
         grey=bool(grey),
         seed=seed,
         frame=frame,
-        repeated=repeated,
     )
 
 
-def _sample_frame(
-    rng: np.random.Generator, share: float
-) -> tuple[tuple[float, float, float, float] | None, bool]:
-    """Where a photograph ends, and whether its border is repeated; each side is cut in half of them."""
-    chosen, repeated = rng.random() < share, rng.random() < 0.5
-    left, top, right, bottom = rng.uniform(0.0, DEEPEST_CROP) * (rng.random(4) < 0.5)
-    return ((left, top, 1 - right, 1 - bottom) if chosen else None), bool(repeated)
+def _sample_frame(rng: np.random.Generator, share: float) -> tuple[float, float, float, float] | None:
+    """Where a photograph ends: half of those that do are cropped tightly, the others at some sides."""
+    chosen, tight = rng.random() < share, rng.random() < 0.5
+    depth, sides = rng.random(4), rng.random(4) < 0.5
+    shares = 0.5 + 0.5 * depth if tight else depth * sides
+    left, top, right, bottom = shares * DEEPEST_CROP
+    return (left, top, 1 - right, 1 - bottom) if chosen else None
 
 
 def photograph(images: Tensor, coverage: Tensor, behind: Tensor, effects: Sequence[PhotoEffects]) -> Tensor:
@@ -158,7 +155,7 @@ def photograph(images: Tensor, coverage: Tensor, behind: Tensor, effects: Sequen
         developed[grey] = (developed[grey] * weights).sum(1, keepdim=True).expand(-1, 3, -1, -1)
     for k, effect in enumerate(effects):
         if effect.frame is not None:
-            developed[k] = _framed(developed[k], effect.frame, effect.repeated)
+            developed[k] = _framed(developed[k], effect.frame)
     filed = _chosen(developed, [effect.quality is not None for effect in effects])
     if len(filed):
         qualities = [effect.quality for effect in effects if effect.quality is not None]
@@ -171,19 +168,15 @@ def frames(effects: Sequence[PhotoEffects], height: int, width: int) -> Tensor:
     inside = torch.ones(len(effects), 1, height, width)
     for k, effect in enumerate(effects):
         if effect.frame is not None:
-            inside[k] = _framed(inside[k], effect.frame, repeated=False)
+            inside[k] = _framed(inside[k], effect.frame)
     return inside
 
 
-def _framed(image: Tensor, frame: tuple[float, float, float, float], repeated: bool) -> Tensor:
+def _framed(image: Tensor, frame: tuple[float, float, float, float]) -> Tensor:
     """An image (C, H, W) that ends where ``frame`` says."""
     height, width = image.shape[-2:]
     left, right = round(frame[0] * width), round(frame[2] * width)
     top, bottom = round(frame[1] * height), round(frame[3] * height)
-    if repeated:
-        rows = torch.arange(height, device=image.device).clamp(top, bottom - 1)
-        columns = torch.arange(width, device=image.device).clamp(left, right - 1)
-        return image[:, rows][:, :, columns]
     black = torch.zeros_like(image)
     black[:, top:bottom, left:right] = image[:, top:bottom, left:right]
     return black

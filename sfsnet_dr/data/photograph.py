@@ -32,8 +32,8 @@ def to_canonical(image: NDArray[np.floating], eyes: Eyes) -> NDArray[np.float32]
 
     A similarity transform (shift, rotation, one scale). Each canonical pixel is the mean of the photograph
     over its square, sampled at least once a photograph pixel, so that nothing aliases when the face is
-    large; small faces are interpolated bilinearly. Beyond the photograph its border is repeated; see
-    ``inside``.
+    large; small faces are interpolated bilinearly. Beyond the photograph it is black, as in
+    training (``photo_effects.PhotoOptions.cropped``); see ``inside``.
 
     Args:
         image: linear (H, W, 3). Averaging encoded values would darken edges.
@@ -53,7 +53,8 @@ def resampled(image: NDArray[np.floating], eyes: Eyes) -> NDArray[np.float32]:
     """``to_canonical`` for any number of channels: (H, W, C) to (128, 128, C)."""
     sizes = check_shape("image", image, "H W C")
     _check_eyes(eyes, sizes["W"], sizes["H"])
-    return _resample(np.asarray(image, np.float32), eyes, "nearest")
+    whole: NDArray[np.float32] = _resample(np.asarray(image, np.float32), eyes, "nearest")
+    return whole * inside(sizes["H"], sizes["W"], eyes)[..., None]
 
 
 def inside(height: int, width: int, eyes: Eyes) -> NDArray[np.float32]:
