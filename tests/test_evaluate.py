@@ -151,7 +151,8 @@ def test_the_command_writes_records_table_and_page(
     torch.manual_seed(0)
     save_weights(weights, SfSNet(2, 2, 1), {"recipe": {"data": {"size": 32}}})
     capsys.readouterr()
-    arguments = ["evaluate", "labels", str(labels), "--weights", str(weights), "--out", str(out), "--json"]
+    arguments = ["evaluate", "labels", str(labels), "--methods", "flat", "mean-face"]
+    arguments += ["--weights", str(weights), "--out", str(out), "--json"]
     assert main(arguments) == 0
     records = {row["what"]: row["value"] for row in json.loads(capsys.readouterr().out)}
     for method in ("flat", "mean_face", "tiny"):

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from sfsnet_dr.apply.methods import FlatNormals, MeanNormals, Method, NetworkMethod
 from sfsnet_dr.apply.model_fit import ModelFit
+from sfsnet_dr.apply.shading_search import ShadingSearch
 from sfsnet_dr.base.checks import BadInput, nearest
 from sfsnet_dr.data.landmarks import canonical_landmarks
 from sfsnet_dr.data.listing import FacePhoto, Listing
@@ -72,6 +73,7 @@ def methods_for(
         FlatNormals.name: FlatNormals,
         MeanNormals.name: lambda: _mean_face(shots),
         ModelFit.name: lambda: _model_fit(shots, wanted, listing),
+        ShadingSearch.name: ShadingSearch,
     }
     for name in wanted.baselines:
         if name not in makers:
