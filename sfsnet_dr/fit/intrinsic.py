@@ -14,8 +14,8 @@ so that every answer explains the image, and Adam makes the most likely one of t
 
 No faces are known to it, no shadows, no gloss. What differs from SIRFS: luminance alone decides, the light is
 taken to be without tint; one pyramid from coarse to fine in place of L-BFGS on it; the priors' forms above,
-with weights found on rendered faces. There (24 held-back ones under drawn lights) normals are off by 19.7
-degrees, flat ones by 37.3, and by 22.4 without the albedo's terms, which is what the outline alone tells.
+with weights found on rendered faces: normals of 24 of them, under lights drawn as for training, are then off
+by 19.5 degrees, by 22.4 without the albedo's terms (all that the outline tells), and flat ones by 37.
 
 Source: Barron and Malik, "Shape, illumination, and reflectance from shading", PAMI 2015.
 """
