@@ -13,7 +13,7 @@ from sfsnet_dr.report.html import Block, Link, Section, write_page
 from sfsnet_dr.report.record import Record, write_records
 from sfsnet_dr.study.evaluate.choose import Wanted, methods_for
 from sfsnet_dr.study.evaluate.collect import KINDS, Amount, collect
-from sfsnet_dr.study.evaluate.page import lead_text
+from sfsnet_dr.study.evaluate.page import TITLES, lead_text
 from sfsnet_dr.study.evaluate.run import evaluate
 from sfsnet_dr.study.evaluate.tables import tables
 
@@ -78,7 +78,7 @@ def evaluate_all(
         names = [method.name for method in methods]
         blocks: list[Block] = [lead_text(collection, names), *tables(collection.data, names, own)]
         link = Link(f"{kind}/index.html", f"All of {kind}: figures, pictures, what was left out")
-        sections.append(Section(f"On {kind}", [*blocks, link]))
+        sections.append(Section(f"On {TITLES.get(collection.data, kind)}", [*blocks, link]))
         records += own
     write_records(target / "records.json", records)
     lead = "The same methods on all data at hand. Every number with its interval is in `records.json`."

@@ -25,6 +25,16 @@ from sfsnet_dr.study.evaluate.tables import tables
 _SHOWN: Final = 40
 _EXAMPLES: Final = 4
 
+#: What data are called in headings, where their name in records says too little.
+TITLES: Final = {
+    "yale-b": "Extended Yale B",
+    "photoface": "Photoface",
+    "celeba": "CelebA",
+    "multipie": "MultiPIE",
+    "folder": "a folder of photographs",
+    "synthetic": "rendered faces",
+}
+
 
 def write_pages(
     folder: Path,
@@ -46,7 +56,10 @@ def write_pages(
     if collection.skipped:
         sections.append(Section("Left out", _left_out(collection.skipped)))
     write_page(
-        folder / "index.html", f"Evaluation on {collection.data}", lead_text(collection, names), sections
+        folder / "index.html",
+        f"Evaluation on {TITLES.get(collection.data, collection.data)}",
+        lead_text(collection, names),
+        sections,
     )
 
 
