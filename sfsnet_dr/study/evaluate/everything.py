@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 from sfsnet_dr.base.atomic import output_dir
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.data.databases import recognise
+from sfsnet_dr.model.shipped import SHIPPED, weights_path
 from sfsnet_dr.report.html import Block, Link, Section, write_page
 from sfsnet_dr.report.record import Record, write_records
 from sfsnet_dr.study.evaluate.choose import Wanted, methods_for
@@ -57,7 +59,7 @@ def evaluate_all(
     Args:
         folder: see ``find_data``.
         faces: folders of rendered faces that lie elsewhere.
-        wanted: the methods.
+        wanted: the methods; the networks that come with the package where it names no weights.
         out: folder, made if missing.
         amount: how much of the data.
         command: for the records.
@@ -66,6 +68,9 @@ def evaluate_all(
         All records, and why baselines are missing, by kind of data and name.
     """
     data = find_data(folder, faces)
+    if not wanted.weights:
+        shipped = tuple(Path(name) for name in SHIPPED if weights_path(name).is_file())
+        wanted = replace(wanted, weights=shipped)
     target = output_dir(out)
     records: list[Record] = []
     left_out: dict[str, str] = {}
