@@ -260,3 +260,26 @@ def test_display_referred_networks_see_photographs_as_their_files_have_them() ->
     torch.testing.assert_close(seen[0], images.float() / 255)
     np.testing.assert_allclose(numbers["recon.mae"], 0, atol=1e-3)
     assert (on_photographs(Trained(model, 32, "linear", {}), photographs)["recon.mae"] > 10).all()
+
+
+@pytest.mark.slow
+def test_the_optional_stage_fine_tunes_and_measures_on_held_back_subjects(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from test_surface_faces import SUBJECTS, write_faces
+
+    path = write_set(tmp_path / "set")
+    text = RECIPE.format(model=MODELS["sfsnet"][0], share=0) + "[surfaces]\nshare = 0.5\nfolds = 2\n"
+    (tmp_path / "set" / "recipes" / "sfsnet-ft.toml").write_text(text)
+    surfaces = write_faces(tmp_path / "labels", size=128)
+    plan = read_plan(path, tmp_path / "out", data=[data], rendered_photographs=True, surfaces=surfaces)
+    # Of the stages before it only SfSNet's weights are needed.
+    monkeypatch.setattr("sfsnet_dr.study.stages.NETWORKS", ("skipnet-syn", "sfsnet"))
+    monkeypatch.setattr("sfsnet_dr.study.stages_page.finish", lambda *_: [])
+    records = run_stages(plan, command="", console=quiet())
+    names = {record.what for record in records}
+    assert {f"balls.{name}.normals.mean_deg" for name in ("sfsnet", "sfsnet_ft_fold0of2")} <= names
+    [held] = [record.value for record in records if record.what == "balls.subjects"]
+    assert 0 < held < len(SUBJECTS)
+    notes = json.loads((tmp_path / "out" / "sfsnet-ft" / "stage.json").read_text())
+    assert notes["start"] is not None

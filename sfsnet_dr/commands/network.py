@@ -39,6 +39,9 @@ class Train:
     labels: Annotated[
         Path | None, arg(metavar="DIR", help="Photographs that `sfsnet-dr pseudo-label` labelled.")
     ] = None
+    surfaces: Annotated[
+        Path | None, arg(metavar="DIR", help="Faces that `sfsnet-dr photometric-stereo` labelled.")
+    ] = None
     start: Annotated[
         Path | None,
         arg(metavar="FILE", help="Weights of the same network to begin with, in place of random ones."),
@@ -65,6 +68,7 @@ class Train:
             data,
             self.out,
             labels=self.labels,
+            surfaces=self.surfaces,
             resume=self.resume,
             tensorboard=self.tensorboard,
             start=self.start,

@@ -38,6 +38,10 @@ class Stages:
         Path | None,
         arg(metavar="DIR", help="Environment maps (.exr, .hdr) to light by, in place of the recipes'."),
     ] = None
+    surfaces: Annotated[
+        Path | None,
+        arg(metavar="DIR", help="Labels by `sfsnet-dr photometric-stereo`, to fine-tune SfSNet on at last."),
+    ] = None
     as_json: Json = False
 
     def run(self) -> Result:
@@ -50,5 +54,6 @@ class Stages:
             photographs=self.photographs,
             rendered_photographs=self.rendered_photographs,
             environments=self.environments,
+            surfaces=self.surfaces,
         )
         return of_records(run_stages(plan, command=command_line()), f"page: {self.out / 'index.html'}")

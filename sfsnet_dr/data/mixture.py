@@ -1,4 +1,6 @@
-"""Mini-batches of two kinds of faces: rendered ones with their truth, real ones with pseudo-labels.
+"""Mini-batches of two kinds of faces: rendered ones with their truth, real ones with labels of some trust.
+
+The real ones are photographs with pseudo-labels, or faces whose normals photometric stereo found.
 
 Source: Sengupta et al., CVPR 2018, section 3 ("SfS-supervision"): every mini-batch mixes both, so that batch
 normalisation sees one distribution and no step forgets either.
@@ -8,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -47,30 +49,72 @@ class RealOptions:
                 raise BadInput(f"real.{name}: {value:g} found, 0 to {largest:g} allowed")
 
     def count(self, batch_size: int) -> int:
-        """Photographs in a mini-batch.
+        """Photographs in a mini-batch; see ``count_of``."""
+        return count_of("real.share", self.share, batch_size)
 
-        Raises:
-            BadInput: if a share above 0 makes a batch of one kind only.
-        """
-        count = round(self.share * batch_size)
-        if self.share and not 0 < count < batch_size:
-            raise BadInput(
-                f"real.share: {self.share:g} of {batch_size} images is {count}; both kinds are needed"
-            )
-        return count
+
+def count_of(name: str, share: float, batch_size: int) -> int:
+    """Images that a share of a mini-batch is.
+
+    Raises:
+        BadInput: if a share above 0 makes a batch of one kind only.
+    """
+    count = round(share * batch_size)
+    if share and not 0 < count < batch_size:
+        raise BadInput(f"{name}: {share:g} of {batch_size} images is {count}; both kinds are needed")
+    return count
 
 
 class MixedBatch(NamedTuple):
-    """Labelled faces, then real ones whose labels are trusted as far as ``confidence`` (B, 1, H, W) says."""
+    """Labelled faces, then real ones whose labels are trusted as far as ``confidence`` (B, 1, H, W) says.
+
+    ``free_scale``: the real faces' albedo is known up to a factor for each image, and their light up to its
+    inverse.
+    """
 
     labelled: FaceBatch
     real: FaceBatch
     confidence: Tensor
+    free_scale: bool = False
 
     @property
     def image(self) -> Tensor:
         """All images, the labelled ones first."""
         return torch.cat([self.labelled.image, self.real.image])
+
+
+class RealSource(Protocol):
+    """Where real faces come from; batch k depends on a seed and k alone.
+
+    Attributes:
+        batch_size: images a batch.
+        free_scale: see ``MixedBatch``.
+    """
+
+    batch_size: int
+    free_scale: bool
+
+    @property
+    def fingerprint(self) -> str:
+        """Of the data."""
+
+    @property
+    def pixels(self) -> tuple[int, int]:
+        """Height and width of the images."""
+
+    def names(self, step: int) -> list[str]:
+        """Images of a batch."""
+
+    def batch(self, step: int, rank: int = 0, size: int = 1) -> tuple[FaceBatch, Tensor]:
+        """Batch number ``step``, or part ``rank`` of ``size``, and its labels' confidence (B, 1, H, W)."""
+
+
+def in_turn(seed: int, stream: int, count: int, step: int, batch_size: int) -> list[int]:
+    """Which of ``count`` images are in a batch: stretches of one random permutation an epoch."""
+    places = range(step * batch_size, (step + 1) * batch_size)
+    epochs = {place // count for place in places}
+    orders = {e: np.random.default_rng([seed, stream, e]).permutation(count) for e in epochs}
+    return [int(orders[place // count][place % count]) for place in places]
 
 
 class RealFaces:
@@ -86,6 +130,8 @@ class RealFaces:
         BadInput: if the labels were made with another meaning of a photograph's numbers.
     """
 
+    free_scale = False
+
     def __init__(self, faces: PseudoFaces, batch_size: int, options: RealOptions, seed: int) -> None:
         found = faces.spec.get("values")
         if found != options.values:
@@ -95,12 +141,19 @@ class RealFaces:
         self.faces, self.batch_size, self.options, self.seed = faces, batch_size, options, seed
 
     def indices(self, step: int) -> list[int]:
-        """Photographs of a batch: stretches of one random permutation an epoch."""
-        places = range(step * self.batch_size, (step + 1) * self.batch_size)
-        count = len(self.faces)
-        epochs = {place // count for place in places}
-        orders = {e: np.random.default_rng([self.seed, 10, e]).permutation(count) for e in epochs}
-        return [int(orders[place // count][place % count]) for place in places]
+        """Photographs of a batch."""
+        return in_turn(self.seed, 10, len(self.faces), step, self.batch_size)
+
+    @property
+    def fingerprint(self) -> str:
+        """Of the labels."""
+        return self.faces.fingerprint
+
+    @property
+    def pixels(self) -> tuple[int, int]:
+        """Height and width."""
+        height, width = self.faces.labels.image.shape[-2:]
+        return height, width
 
     def names(self, step: int) -> list[str]:
         """Photographs of a batch."""
@@ -133,11 +186,11 @@ class MixedFaces:
         BadInput: if the two have pictures of different sizes.
     """
 
-    def __init__(self, labelled: RelitFaces, real: RealFaces) -> None:
-        found, size = (tuple(part.shape[-2:]) for part in (real.faces.labels.image, labelled.faces.normal))
+    def __init__(self, labelled: RelitFaces, real: RealSource) -> None:
+        found, size = real.pixels, tuple(labelled.faces.normal.shape[-2:])
         if found != size:
             raise BadInput(
-                f"pseudo-labels: {found[0]} x {found[1]} pixels found, {size[0]} x {size[1]} as the "
+                f"labels: {found[0]} x {found[1]} pixels found, {size[0]} x {size[1]} as the "
                 "rendered faces have is needed; label the photographs at that --size"
             )
         self.labelled, self.real = labelled, real
@@ -145,12 +198,13 @@ class MixedFaces:
     @property
     def fingerprint(self) -> str:
         """Of all data."""
-        both = self.labelled.fingerprint + self.real.faces.fingerprint
+        both = self.labelled.fingerprint + self.real.fingerprint
         return hashlib.sha256(both.encode()).hexdigest()
 
     def batch(self, step: int, rank: int = 0, size: int = 1) -> MixedBatch:
         """Batch number ``step``, or part ``rank`` of ``size`` of both kinds."""
-        return MixedBatch(self.labelled.batch(step, rank, size), *self.real.batch(step, rank, size))
+        real = self.real.batch(step, rank, size)
+        return MixedBatch(self.labelled.batch(step, rank, size), *real, self.real.free_scale)
 
     def names(self, step: int) -> list[str]:
         """The faces and photographs of a batch."""

@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Final, Literal
 
 import torch
 
 from sfsnet_dr.base.checks import BadInput
-from sfsnet_dr.base.config import load_toml
+from sfsnet_dr.base.config import added, load_toml
 from sfsnet_dr.base.conventions import FACE_SIZE
 from sfsnet_dr.data.augment import Augmentation
 from sfsnet_dr.data.mixture import RealOptions
+from sfsnet_dr.data.surface_faces import SurfaceOptions
 from sfsnet_dr.fit.team import Device
 from sfsnet_dr.loss.reconstruction import Backend
 from sfsnet_dr.loss.terms import LossWeights
@@ -22,6 +23,8 @@ from sfsnet_dr.model.sfsnet import SfSNet
 from sfsnet_dr.model.weights import build, settings
 
 Precision = Literal["auto", "float32", "bfloat16"]
+
+_NO_SURFACES: Final = SurfaceOptions()
 
 
 @dataclass(frozen=True)
@@ -128,8 +131,9 @@ class Recipe:
         pictures_every: steps between two pictures of what the network makes of a batch; 0 for none.
         most_skipped: steps with a loss or gradient that is not finite before the run fails.
         model, data, optimiser, compute: the network, how rendered faces vary, Adam, and how it is computed.
-        loss: weights of the terms; ``real_loss`` those of real faces with pseudo-labels.
+        loss: weights of the terms; ``real_loss`` those of real faces.
         real: how photographs take part.
+        surfaces: how faces with labels by photometric stereo take part, in place of photographs.
 
     Raises:
         BadInput: for a value out of its range.
@@ -146,13 +150,23 @@ class Recipe:
     loss: LossWeights = field(default_factory=LossWeights)
     real: RealOptions = field(default_factory=RealOptions)
     real_loss: LossWeights = field(default_factory=LossWeights)
+    surfaces: SurfaceOptions = added(_NO_SURFACES)  # noqa: RUF009 (frozen)
     optimiser: OptimiserRecipe = field(default_factory=OptimiserRecipe)
     compute: ComputeRecipe = field(default_factory=ComputeRecipe)
 
     def __post_init__(self) -> None:
         _positive(self, "steps", "batch_size", "checkpoint_every")
         _not_negative(self, "seed", "most_skipped", "pictures_every")
-        self.real.count(self.batch_size)
+        photographs, captures = self.real.count(self.batch_size), self.surfaces.count(self.batch_size)
+        if photographs and captures:
+            raise BadInput(
+                "real.share, surfaces.share: both above 0 found, one kind of real faces is allowed"
+            )
+        if captures and self.real.values != "linear":
+            raise BadInput(
+                "real.values: 'display' found, 'linear' is needed: photometric stereo's labels are of linear "
+                "light"
+            )
 
     def make_model(self) -> Network:
         """The recipe's network as it is before the first step, in training mode; for its seed, the same."""

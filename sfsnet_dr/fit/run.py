@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -73,6 +74,7 @@ class Run:
         team: the processes that train together.
         tensorboard: write for TensorBoard too.
         start: weights to begin with in place of random ones.
+        metadata: more that the weights should tell.
 
     Raises:
         BadInput: for unusable weights, those of another network, or a checkpoint of another run.
@@ -88,10 +90,12 @@ class Run:
         team: Team,
         tensorboard: bool,
         start: Path | None = None,
+        metadata: Mapping[str, Any] | None = None,
     ) -> None:
         self.recipe, self.folder, self.batches, self.team = recipe, folder, batches, team
         self.data = batches.fingerprint
         self.watch = Watch()
+        self.metadata = dict(metadata or {})
         self.model = recipe.make_model()
         self.start = None if start is None else sha256(weights_path(start))
         if start is not None and not resume:
@@ -182,6 +186,7 @@ class Run:
         lines = [line for line in read_history(self.folder / HISTORY) if "skipped" not in line]
         first, final = _means(lines[:WINDOW]), _means(lines[-WINDOW:])
         metadata = {"recipe": as_dict(self.recipe), "data": self.data, "start": self.start, "final": final}
+        metadata |= self.metadata
         path = self.folder / WEIGHTS
         if self.team.leads:
             try:

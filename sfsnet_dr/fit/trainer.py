@@ -16,8 +16,8 @@ from sfsnet_dr.base.checks import BadInput, WorkFailed
 from sfsnet_dr.data.batch import dealt
 from sfsnet_dr.data.dataset import Faces, Folders, RelitFaces, load_faces
 from sfsnet_dr.data.light_bank import LightBank, kept_bank
-from sfsnet_dr.data.mixture import MixedFaces, RealFaces
-from sfsnet_dr.data.pseudo_labels import PseudoFaces, load_pseudo_labels
+from sfsnet_dr.data.mixture import MixedFaces
+from sfsnet_dr.fit.real_sources import RealKind, real_kind
 from sfsnet_dr.fit.recipe import Recipe
 from sfsnet_dr.fit.run import CHECKPOINT, LIGHTS, Run, TrainResult
 from sfsnet_dr.fit.signals import StopRequest
@@ -30,6 +30,7 @@ def train(
     out: Path | str,
     *,
     labels: Path | str | None = None,
+    surfaces: Path | str | None = None,
     resume: bool = False,
     progress: bool = True,
     tensorboard: bool = False,
@@ -42,6 +43,8 @@ def train(
         data: folder with ``manifest.jsonl``, or several.
         out: folder for weights, history and checkpoint; made if missing.
         labels: folder of pseudo-labelled photographs, needed where the recipe's ``real.share`` is above 0.
+        surfaces: folder of labels by photometric stereo, needed where ``surfaces.share`` is above 0; who is
+            held back is stored with the weights.
         resume: go on from the checkpoint in ``out``. On one machine with one number of threads this gives
             the same bits as a run that was never stopped.
         progress: show a bar with the loss, images a second and the time left.
@@ -54,14 +57,17 @@ def train(
         WorkFailed: if too many steps were not finite, or SIGTERM came; the checkpoint is saved then.
         KeyboardInterrupt: on SIGINT, with the checkpoint saved.
     """
-    real = _real_faces(recipe, labels)
+    real = real_kind(recipe, labels, surfaces, start)
     folder = output_dir(out)
     if not resume and (folder / CHECKPOINT).exists():
         raise BadInput(f"{folder}: holds a run already; go on with --resume or choose another folder")
     faces = load_faces(data, recipe.data.size, held_back=recipe.data.held_back)
     with join(recipe.compute.device) as team:
         batches = _batches(recipe, faces, real, folder, team, progress)
-        run = Run(recipe, batches, folder, resume=resume, team=team, tensorboard=tensorboard, start=start)
+        run = Run(
+            recipe, batches, folder, resume=resume, team=team, tensorboard=tensorboard, start=start,
+            metadata=real.metadata,
+        )  # fmt: skip
         with closing(run), StopRequest() as stop, _bar(progress and team.leads) as bar:
             task = bar.add_task("training", total=recipe.steps, completed=run.done.step, loss="", speed="")
             while run.done.step < recipe.steps:
@@ -74,31 +80,17 @@ def train(
 
 
 def _batches(
-    recipe: Recipe, faces: Faces, real: PseudoFaces | None, folder: Path, team: Team, progress: bool
+    recipe: Recipe, faces: Faces, real: RealKind, folder: Path, team: Team, progress: bool
 ) -> RelitFaces | MixedFaces:
     """The batches of a recipe on a team's device; the leading process draws the lights for all."""
-    count = recipe.real.count(recipe.batch_size)
-    for images in (recipe.batch_size - count, count):
+    for images in (recipe.batch_size - real.count, real.count):
         dealt(images, team.rank, team.size)
     if team.leads:
         bank = _bank(recipe, folder, progress)
     team.wait()
     bank = bank if team.leads else _bank(recipe, folder, progress=False)
-    relit = RelitFaces(faces.to(team.device), recipe.batch_size - count, recipe.data, recipe.seed, bank)
-    if real is None:
-        return relit
-    return MixedFaces(relit, RealFaces(real.to(team.device), count, recipe.real, recipe.seed))
-
-
-def _real_faces(recipe: Recipe, labels: Path | str | None) -> PseudoFaces | None:
-    count = recipe.real.count(recipe.batch_size)
-    if (labels is None) != (count == 0):
-        found = "no folder of labels" if labels is None else f"the labels of {labels}"
-        raise BadInput(
-            f"real.share: {recipe.real.share:g} in the recipe and {found} found; a share above 0 and "
-            "--labels DIR (see `sfsnet-dr pseudo-label`) belong together"
-        )
-    return None if labels is None else load_pseudo_labels(labels)
+    relit = RelitFaces(faces.to(team.device), recipe.batch_size - real.count, recipe.data, recipe.seed, bank)
+    return relit if real.open is None else MixedFaces(relit, real.open(team.device))
 
 
 def _bank(recipe: Recipe, folder: Path, progress: bool) -> LightBank:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 
+from sfsnet_dr.data.batch import FaceBatch
 from sfsnet_dr.data.mixture import MixedBatch
 from sfsnet_dr.loss.reconstruction import Backend
 from sfsnet_dr.loss.terms import LossTerms, LossWeights, Share, sfsnet_loss
@@ -37,6 +39,22 @@ def mixed_loss(
     second = Decomposition(*(part[count:] for part in prediction))
     of_labelled, of_real = shares or (None, None)
     labelled_terms = sfsnet_loss(first, target.labelled, labelled_weights, backend, share=of_labelled)
-    real_terms = sfsnet_loss(second, target.real, real_weights, backend, target.confidence, of_real)
+    labels = at_scale_of(second, target) if target.free_scale else target.real
+    real_terms = sfsnet_loss(second, labels, real_weights, backend, target.confidence, of_real)
     total = (count * labelled_terms.total + real * real_terms.total) / (count + real)
     return total, labelled_terms, real_terms
+
+
+def at_scale_of(prediction: Decomposition, target: MixedBatch) -> FaceBatch:
+    """The real faces' labels with the factor for each albedo that fits best, and its inverse for the light.
+
+    Least squares over the mask, weighted by confidence; at most a factor of 16 either way. It is a constant
+    to the gradient, so that no prediction is better for being darker.
+    """
+    real = target.real
+    with torch.no_grad():
+        weight = real.mask * target.confidence
+        product = (weight * real.albedo * prediction.albedo.float()).sum((1, 2, 3))
+        power = (weight * real.albedo.square()).sum((1, 2, 3)).clamp_min(1e-9)
+        factor = (product / power).clamp(1 / 16, 16)
+    return real._replace(albedo=real.albedo * factor[:, None, None, None], light=real.light / factor[:, None])

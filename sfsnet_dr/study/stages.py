@@ -25,6 +25,8 @@ from sfsnet_dr.data.manifest import NAME as FACES_MANIFEST
 from sfsnet_dr.data.manifest import Manifest
 from sfsnet_dr.data.photo_source import PhotoSource, photo_folder, stand_ins
 from sfsnet_dr.data.pseudo_labels import MANIFEST as LABELS_MANIFEST
+from sfsnet_dr.data.surface_faces import load_learnt
+from sfsnet_dr.data.surface_labels import INDEX as SURFACES_INDEX
 from sfsnet_dr.data.synth import synthesize
 from sfsnet_dr.fit.checkpoint import differences
 from sfsnet_dr.fit.pseudo_label import pseudo_label
@@ -38,6 +40,9 @@ from sfsnet_dr.scene.spec import SceneSpec, load_scene
 #: Networks in the order in which they are trained; photographs are labelled by the first, before the second.
 NETWORKS: Final = ("skipnet-syn", "sfsnet", "sfsnet-syn", "skipnet-plus")
 LABELLER: Final = "skipnet-syn"
+#: The optional network after them, fine-tuned from the second on normals by photometric stereo.
+FINE_TUNED: Final = "sfsnet-ft"
+FINE_TUNED_FROM: Final = "sfsnet"
 
 #: What a finished stage was made from.
 DONE: Final = "stage.json"
@@ -84,6 +89,7 @@ class Plan:
         folder: where all stages write.
         data: folders of bundles; empty to render them into ``folder``.
         photographs: folder of photographs; None for rendered ones.
+        surfaces: folder of labels by photometric stereo; None leaves out the fine-tuning.
     """
 
     spec: StagesSpec
@@ -92,6 +98,7 @@ class Plan:
     folder: Path
     data: tuple[Path, ...]
     photographs: Path | None
+    surfaces: Path | None = None
 
     @property
     def faces(self) -> tuple[Path, ...]:
@@ -117,6 +124,7 @@ def read_plan(
     photographs: Path | None = None,
     rendered_photographs: bool = False,
     environments: Path | None = None,
+    surfaces: Path | None = None,
 ) -> Plan:
     """Read a set of stages with its recipes, and check that they go together, before anything is done.
 
@@ -127,9 +135,11 @@ def read_plan(
         photographs: see ``data.photo_set``.
         rendered_photographs: let rendered faces stand in for photographs.
         environments: folder of environment maps in place of the recipes'.
+        surfaces: labels by photometric stereo to fine-tune on.
 
     Raises:
-        BadInput: for unusable files, recipes that do not agree, or neither or both kinds of photographs.
+        BadInput: for unusable files or labels, recipes that do not agree, or neither or both kinds of
+            photographs.
     """
     path = Path(path)
     spec = load_toml(StagesSpec, path)
@@ -140,9 +150,12 @@ def read_plan(
             "--photographs DIR, or --rendered-photographs to let rendered faces stand in for them"
         )
     recipes = {name: _recipe(path.parent / spec.recipes, name, environments) for name in NETWORKS}
+    if surfaces is not None:
+        recipes[FINE_TUNED] = _recipe(path.parent / spec.recipes, FINE_TUNED, environments)
+        load_learnt(surfaces, recipes[FINE_TUNED].surfaces, recipes[FINE_TUNED].data.size)
     _check_alike(path.parent / spec.recipes, recipes)
     scene = SceneSpec("faces", "anny") if spec.scene is None else load_scene(path.parent / spec.scene)
-    return Plan(spec, recipes, scene, Path(out), tuple(data), photographs)
+    return Plan(spec, recipes, scene, Path(out), tuple(data), photographs, surfaces)
 
 
 def run_stages(plan: Plan, *, command: str, console: Console | None = None) -> list[Record]:
@@ -160,6 +173,7 @@ def run_stages(plan: Plan, *, command: str, console: Console | None = None) -> l
         BadInput: for unusable data, or a folder in which a stage was done from something else.
         WorkFailed: if training failed or was told to stop; the same call goes on.
     """
+    from sfsnet_dr.study.stages_fine_tuned import measure_fine_tuned
     from sfsnet_dr.study.stages_page import finish
 
     begin = time.perf_counter()
@@ -167,7 +181,7 @@ def run_stages(plan: Plan, *, command: str, console: Console | None = None) -> l
     folder = output_dir(plan.folder)
     if plan.photographs is not None:  # unusable ones are told before anything is rendered
         photo_folder(plan.photographs, held_back=plan.spec.held_back, most=plan.spec.photographs)
-    steps = ["faces", LABELLER, "pseudo-label", *NETWORKS[1:], "measure"]
+    steps = ["faces", LABELLER, "pseudo-label", *NETWORKS[1:], "measure", FINE_TUNED]
 
     def rule(name: str, state: str) -> None:
         screen.rule(f"{steps.index(name) + 1}/{len(steps)}  {name}: {state}", align="left")
@@ -181,7 +195,12 @@ def run_stages(plan: Plan, *, command: str, console: Console | None = None) -> l
         _train(plan, name, folder / name, rule)
     assert source is not None
     rule("measure", "held-back faces and photographs")
-    return finish(plan, source, command, begin)
+    records = finish(plan, source, command, begin)
+    if plan.surfaces is None:
+        rule(FINE_TUNED, "left out; --surfaces gives labels by photometric stereo to fine-tune on")
+        return records
+    _train(plan, FINE_TUNED, folder / FINE_TUNED, rule)
+    return [*records, *measure_fine_tuned(plan, plan.surfaces, command)]
 
 
 def photographs_of(plan: Plan) -> PhotoSource:
@@ -251,11 +270,15 @@ def _train(plan: Plan, name: str, folder: Path, rule: Callable[[str, str], None]
     """Train a network unless that was done, and note what from."""
     recipe = plan.recipes[name]
     labels = plan.labels if recipe.real.share else None
+    surfaces = plan.surfaces if recipe.surfaces.share else None
+    start = plan.folder / FINE_TUNED_FROM / WEIGHTS if name == FINE_TUNED else None
     wanted: dict[str, Any] = {
         "recipe": as_dict(recipe),
         "faces": [sha256(part / FACES_MANIFEST) for part in plan.faces],
         "labels": None if labels is None else sha256(labels / LABELS_MANIFEST),
     }
+    if surfaces is not None and start is not None:
+        wanted |= {"surfaces": sha256(surfaces / SURFACES_INDEX), "start": sha256(start)}
     note = folder / DONE
     if note.is_file() and (folder / WEIGHTS).is_file():
         for where, found, asked in differences(json.loads(note.read_text(encoding="utf-8")), wanted):
@@ -267,5 +290,5 @@ def _train(plan: Plan, name: str, folder: Path, rule: Callable[[str, str], None]
         return
     resume = (folder / CHECKPOINT).is_file()
     rule(name, "going on" if resume else f"{recipe.steps} steps")
-    train(recipe, plan.faces, folder, labels=labels, resume=resume)
+    train(recipe, plan.faces, folder, labels=labels, surfaces=surfaces, resume=resume, start=start)
     atomic.write_text(note, json.dumps(wanted, indent=1, sort_keys=True) + "\n")

@@ -28,6 +28,7 @@ from sfsnet_dr.data.photo_set import find_landmarks, read_landmarks
 from sfsnet_dr.report.record import dotted
 from sfsnet_dr.scene.face_modes import load_face_modes
 from sfsnet_dr.study.evaluate.shots import Shot
+from sfsnet_dr.study.evaluate.unseen import split_of
 
 Array = npt.NDArray[np.float64]
 
@@ -89,7 +90,11 @@ def methods_for(
             left_out[name] = str(error)
     for path in wanted.weights:
         name = dotted(path.parent.name if path.stem == "weights" else path.stem)
-        _add(methods, NetworkMethod(name, path), str(path))
+        network = NetworkMethod(name, path)
+        split = split_of(network)
+        if split is not None:
+            network.name = f"{name}-fold{split.fold}of{split.folds}"
+        _add(methods, network, str(path))
     return methods, left_out
 
 

@@ -20,6 +20,7 @@ from sfsnet_dr.study.evaluate.shots import Collection
 from sfsnet_dr.study.evaluate.shown import for_decomposition, for_transfer, leading, shown_first
 from sfsnet_dr.study.evaluate.summary import BINS, bin_name, classified, region_name
 from sfsnet_dr.study.evaluate.tables import tables
+from sfsnet_dr.study.evaluate.unseen import told, unseen
 
 #: Rows of what was left out that the page shows; the records count all.
 _SHOWN: Final = 40
@@ -48,11 +49,20 @@ def write_pages(
     networks = [method.name for method in methods if isinstance(method, NetworkMethod)]
     lead = leading(found, networks)
     method, measured = methods[names.index(lead)], found[names.index(lead)]
-    sections = [Section("In numbers", [*tables(collection.data, names, records), *_notes(collection, found)])]
+    sections = [
+        Section(
+            "In numbers",
+            [
+                *tables(collection.data, names, records),
+                *told(methods, collection),
+                *_notes(collection, found),
+            ],
+        )
+    ]
     figures = _by_group(collection.data, names, records)
     if figures:
         sections.append(Section("Where errors are", figures))
-    sections += _pictures(collection, methods, method, measured)
+    sections += _pictures(unseen(methods, collection), methods, method, measured)
     if collection.skipped:
         sections.append(Section("Left out", _left_out(collection.skipped)))
     write_page(

@@ -17,6 +17,7 @@ from sfsnet_dr.study.evaluate.page import write_pages
 from sfsnet_dr.study.evaluate.shots import Collection
 from sfsnet_dr.study.evaluate.summary import counts_of, records_of
 from sfsnet_dr.study.evaluate.tables import csv_text
+from sfsnet_dr.study.evaluate.unseen import unseen
 
 
 def evaluate(
@@ -25,23 +26,25 @@ def evaluate(
     """Measure methods and write ``records.json``, ``table.csv`` and ``index.html``.
 
     Args:
-        collection: the photographs.
+        collection: the photographs; a network that was fine-tuned on some of the subjects is measured on
+            the others only.
         methods: with different names.
         out: folder, made if missing.
         command: for the records.
     """
     folder = output_dir(out)
     records = counts_of(collection, command)
+    theirs = {method.name: unseen([method], collection) for method in methods}
     found = []
-    with bar("measuring", len(methods) * len(collection.shots)) as advance:
+    with bar("measuring", sum(len(part.shots) for part in theirs.values())) as advance:
         for method in methods:
 
             def on_batch(count: int) -> None:
                 for _ in range(count):
                     advance()
 
-            found.append(measure(method, collection.shots, on_batch))
-            records += records_of(collection, found[-1], command)
+            found.append(measure(method, theirs[method.name].shots, on_batch))
+            records += records_of(theirs[method.name], found[-1], command)
     write_records(folder / "records.json", records)
     write_text(folder / "table.csv", csv_text(collection.data, [method.name for method in methods], records))
     write_pages(folder, collection, methods, found, records)
