@@ -47,11 +47,12 @@ bench: $(READY)
 	cp out/bench-relight/records.json eval/results/relight.json
 
 # Every method on all data below DATA, which is a folder of Extended Yale B, of photographs with landmarks, of CelebA
-# or Photoface, or of such folders; FACES="DIR ..." adds rendered faces that lie elsewhere, QUICK=1 takes minutes.
+# or Photoface, or of such folders; FACES="DIR ..." adds rendered faces that lie elsewhere, LANDMARKS=FILE what a detector found on
+# photographs that have no landmarks beside them (for 3dmm); QUICK=1 takes minutes.
 evaluate: $(READY)
 	@test -n "$(DATA)" || { echo "make evaluate: DATA=DIR is needed, a folder of faces" >&2; exit 2; }
 	$(BIN)/sfsnet-dr evaluate all $(DATA) $(if $(WEIGHTS),--weights $(WEIGHTS)) $(if $(FACES),--faces $(FACES)) \
-	  $(if $(QUICK),--quick) --out out/evaluate
+	  $(if $(LANDMARKS),--landmarks $(LANDMARKS)) $(if $(QUICK),--quick) --out out/evaluate
 
 lint: $(READY)
 	$(BIN)/ruff check .

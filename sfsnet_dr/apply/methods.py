@@ -111,12 +111,21 @@ def ask(
     Returns:
         Unit normals, and albedo and light whose product is the image; where the network understands encoded
         values, it is the encoded image times the gain. And the gains (B, 1, 1, 1).
+
+    Raises:
+        BadInput: if the images are smaller than those that the network was trained on.
     """
+    found = images.shape[-1]
+    if found < size or found % size:
+        raise BadInput(
+            f"images: {found} x {found} pixels found, a multiple of the {size} that the network was trained "
+            "on is needed"
+        )
     gain = metering_gain(images, masks)
-    small = functional.avg_pool2d(images * gain, images.shape[-1] // size).clamp(0, 1)
-    found = predict(model, linear_to_srgb(small) if values == "display" else small)
-    normal, albedo = (_grown(part, images.shape[-1]) for part in (found.normal, found.albedo))
-    light = found.light / gain[:, :, 0, 0] if values == "linear" else found.light
+    small = functional.avg_pool2d(images * gain, found // size).clamp(0, 1)
+    answer = predict(model, linear_to_srgb(small) if values == "display" else small)
+    normal, albedo = (_grown(part, found) for part in (answer.normal, answer.albedo))
+    light = answer.light / gain[:, :, 0, 0] if values == "linear" else answer.light
     return Decomposition(unit(normal), albedo, light), gain
 
 

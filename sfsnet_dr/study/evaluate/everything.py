@@ -22,6 +22,9 @@ from sfsnet_dr.study.evaluate.tables import tables
 #: What `all` looks for, in this order; ``lights`` are in yale-b's own numbers.
 _ORDER: Final = ("yale-b", "photoface", "labels", "celeba", "folder", "synthetic")
 
+#: Compact file of ICT FaceKit, which the 3DMM fits where the folder has it.
+FACE_MODEL: Final = "ict_facekit.npz"
+
 
 def find_data(folder: Path, faces: Sequence[Path] = ()) -> list[tuple[str, list[Path]]]:
     """Kinds of data in a folder or right below it, with their folders; rendered faces are taken together.
@@ -59,7 +62,8 @@ def evaluate_all(
     Args:
         folder: see ``find_data``.
         faces: folders of rendered faces that lie elsewhere.
-        wanted: the methods; the networks that come with the package where it names no weights.
+        wanted: the methods; the networks that come with the package where it names no weights, the folder's
+            own ``FACE_MODEL`` where it names none.
         out: folder, made if missing.
         amount: how much of the data.
         command: for the records.
@@ -71,6 +75,8 @@ def evaluate_all(
     if not wanted.weights:
         shipped = tuple(Path(name) for name in SHIPPED if weights_path(name).is_file())
         wanted = replace(wanted, weights=shipped)
+    if wanted.model_path is None and (folder / FACE_MODEL).is_file():
+        wanted = replace(wanted, model_path=folder / FACE_MODEL)
     target = output_dir(out)
     records: list[Record] = []
     left_out: dict[str, str] = {}
