@@ -345,7 +345,10 @@ def test_each_help_has_an_example_that_is_accepted(name: str, capfd: pytest.Capt
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["pseudo-label", "--weight", "x"], "Missing from sfsnet-dr pseudo-label: --weights FILE"),
+        (
+            ["pseudo-label", "x", "--out", "y", "--weight", "x"],
+            "Missing from sfsnet-dr pseudo-label: --weights FILE",
+        ),
         (["synth", "--outt", "x"], "Unrecognized options: --outt x"),
         (["synth", "--out", "x", "--count", "abc"], "Error parsing --count: invalid literal"),
         (
