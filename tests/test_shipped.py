@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 
 from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.fit.trained import load_trained
 from sfsnet_dr.model.eight_bit import STEP, from_eight_bit, to_eight_bit
 from sfsnet_dr.model.sfsnet import SfSNet
 from sfsnet_dr.model.shipped import SHIPPED, weights_path
 from sfsnet_dr.model.weights import load_weights, save_weights
+from sfsnet_dr.study.shipped_check import card_records, compare, measure_shipped
 
 
 @pytest.mark.parametrize("scale", [1e-4, 1.0, 300.0])
@@ -56,3 +60,34 @@ def test_names_are_files_and_other_words_are_not(tmp_path: Path) -> None:
     assert weights_path(tmp_path / "w.safetensors") == tmp_path / "w.safetensors"
     with pytest.raises(BadInput, match=r"'sfsnett' is no file, and no shipped network: .*sfsnet"):
         weights_path("sfsnett")
+
+
+def test_all_shipped_networks_together_are_small_and_load_by_name() -> None:
+    assert sum(weights_path(name).stat().st_size for name in SHIPPED) < 40e6
+    for name in SHIPPED:
+        trained = load_trained(name)
+        assert trained.model.architecture == name
+        assert trained.size == 64
+        assert "/" not in json.dumps(trained.metadata)  # no path of the machine that trained it
+        normal = trained.model(torch.rand(1, 3, 64, 64)).normal
+        assert bool(torch.isfinite(normal).all())
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_cards_tell_the_stored_numbers(name: str) -> None:
+    card = weights_path(name).with_suffix(".md").read_text(encoding="utf-8")
+    records = card_records(name)
+    assert any(record.what == f"synthetic.normals.mean_deg.{name}" for record in records)
+    for record in records:
+        assert f"| `{record.what}` | {record.value:.4g} |" in card
+    for comparison in compare(records, records):
+        assert comparison.same
+    worse = [replace(record, value=1.05 * record.value, interval=None) for record in records]
+    assert not any(comparison.same for comparison in compare(worse, records))
+
+
+@pytest.mark.slow
+def test_shipped_networks_reproduce_their_cards(tmp_path: Path) -> None:
+    records = measure_shipped(SHIPPED, tmp_path, "test")
+    card = [record for name in SHIPPED for record in card_records(name)]
+    assert [str(one) for one in compare(records, card) if not one.same or one.card is None] == []
