@@ -8,26 +8,17 @@ from pathlib import Path
 import pytest
 import torch
 from spheres import write_spheres
+from test_trainer import RECIPE as LONGER
 
 from sfsnet_dr.base.checks import BadInput, WorkFailed
 from sfsnet_dr.base.provenance import sha256
-from sfsnet_dr.data.augment import Augmentation
 from sfsnet_dr.fit.history import read_history
-from sfsnet_dr.fit.recipe import ComputeRecipe, ModelRecipe, Recipe
+from sfsnet_dr.fit.recipe import ModelRecipe
 from sfsnet_dr.fit.run import CHECKPOINT, HISTORY, WEIGHTS
 from sfsnet_dr.fit.trainer import train
 from sfsnet_dr.model.weights import copy_weights, load_weights, read_metadata
-from sfsnet_dr.scene.light_spec import LightSpec
 
-LIGHT = LightSpec(hdr=0, sun_sky=0, studio=0, directional=1, ambient=0, lobes=1)
-RECIPE = Recipe(
-    steps=4,
-    batch_size=2,
-    checkpoint_every=2,
-    model=ModelRecipe(stem=4, features=8, blocks=1),
-    data=Augmentation(lights=4, light=LIGHT),
-    compute=ComputeRecipe(precision="float32", loss_backend="torch"),
-)
+RECIPE = replace(LONGER, steps=4, checkpoint_every=2)
 
 
 @pytest.fixture(scope="module")

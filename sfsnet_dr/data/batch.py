@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -55,3 +56,11 @@ class FaceBatch(NamedTuple):
         check_shape("light", self.light, f"B {LIGHT_SIZE}", B=sizes["B"])
         check_shape("mask", self.mask, "B 1 H W", **sizes)
         return self
+
+
+def in_turn(seed: int, stream: int, count: int, step: int, batch_size: int) -> list[int]:
+    """Which of ``count`` images are in a batch: stretches of one random permutation an epoch."""
+    places = range(step * batch_size, (step + 1) * batch_size)
+    epochs = {place // count for place in places}
+    orders = {e: np.random.default_rng([seed, stream, e]).permutation(count) for e in epochs}
+    return [int(orders[place // count][place % count]) for place in places]

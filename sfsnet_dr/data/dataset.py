@@ -18,7 +18,7 @@ from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.base.color import LUMINANCE
 from sfsnet_dr.base.conventions import LIGHT_ORDER
 from sfsnet_dr.data.augment import Augmentation, backgrounds
-from sfsnet_dr.data.batch import FaceBatch, dealt
+from sfsnet_dr.data.batch import FaceBatch, dealt, in_turn
 from sfsnet_dr.data.bundle import Bundle, read_bundle
 from sfsnet_dr.data.flip import flip_map, flip_normal, x_parity
 from sfsnet_dr.data.light_bank import LightBank, draw_bank
@@ -194,12 +194,8 @@ class RelitFaces:
         return hashlib.sha256((self.faces.fingerprint + self.bank.fingerprint).encode()).hexdigest()
 
     def indices(self, step: int) -> list[int]:
-        """Faces of a batch: stretches of one random permutation an epoch."""
-        places = range(step * self.batch_size, (step + 1) * self.batch_size)
-        count = len(self.faces)
-        epochs = {place // count for place in places}
-        orders = {e: np.random.default_rng([self.seed, 0, e]).permutation(count) for e in epochs}
-        return [int(orders[place // count][place % count]) for place in places]
+        """Faces of a batch."""
+        return in_turn(self.seed, 0, len(self.faces), step, self.batch_size)
 
     def names(self, step: int) -> list[str]:
         """Faces of a batch."""

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from sfsnet_dr.base.checks import BadInput
-from sfsnet_dr.data.batch import FaceBatch, dealt
+from sfsnet_dr.data.batch import FaceBatch, dealt, in_turn
 from sfsnet_dr.data.dataset import RelitFaces
 from sfsnet_dr.data.flip import flip_light, flip_map, flip_normal
 from sfsnet_dr.data.pseudo_labels import Labels, PseudoFaces, Values, as_network_input, decoded
@@ -107,14 +107,6 @@ class RealSource(Protocol):
 
     def batch(self, step: int, rank: int = 0, size: int = 1) -> tuple[FaceBatch, Tensor]:
         """Batch number ``step``, or part ``rank`` of ``size``, and its labels' confidence (B, 1, H, W)."""
-
-
-def in_turn(seed: int, stream: int, count: int, step: int, batch_size: int) -> list[int]:
-    """Which of ``count`` images are in a batch: stretches of one random permutation an epoch."""
-    places = range(step * batch_size, (step + 1) * batch_size)
-    epochs = {place // count for place in places}
-    orders = {e: np.random.default_rng([seed, stream, e]).permutation(count) for e in epochs}
-    return [int(orders[place // count][place % count]) for place in places]
 
 
 class RealFaces:

@@ -22,10 +22,10 @@ from torch import Tensor
 from torch.nn import functional
 
 from sfsnet_dr.base.checks import BadInput
-from sfsnet_dr.data.batch import FaceBatch, dealt
+from sfsnet_dr.data.batch import FaceBatch, dealt, in_turn
 from sfsnet_dr.data.exposure import metering_gain
 from sfsnet_dr.data.flip import flip_light, flip_map, flip_normal
-from sfsnet_dr.data.mixture import count_of, in_turn
+from sfsnet_dr.data.mixture import count_of
 from sfsnet_dr.data.surface_labels import SurfaceLabels, light_labels, load_surfaces, read_index
 
 

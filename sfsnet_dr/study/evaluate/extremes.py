@@ -79,8 +79,10 @@ def extremes(images: Sequence[ImageErrors]) -> Extremes | None:
 
 def examples(images: Sequence[ImageErrors], most: int) -> list[ImageErrors]:
     """Some of them, spread evenly, with as many different subjects as there are."""
-    seen: set[str] = set()
-    fresh = [e for e in images if not (e.shot.subject in seen or seen.add(e.shot.subject))]  # type: ignore[func-returns-value]
+    first: dict[str, ImageErrors] = {}
+    for e in images:
+        first.setdefault(e.shot.subject, e)
+    fresh = list(first.values())
     rest = [e for e in images if not any(e is other for other in fresh)]
     chosen = [fresh[place] for place in spread_out(len(fresh), most)]
     return chosen + rest[: most - len(chosen)]
