@@ -55,6 +55,8 @@ def test_every_place_comes_and_depends_on_seed_and_step_alone() -> None:
         return [divmod(int(value), 8) for value in cuts]
 
     assert set(places(0)) == set(itertools.product(range(3), range(5)))
+    columns = [column for _, column in places(0)]
+    assert columns.count(2) > 2 * columns.count(0)  # 11 in 25 against 2 in 25
     assert places(0) == places(0) != places(1)
 
 

@@ -23,7 +23,8 @@ _STREAM: Final = 20
 def cut(batch: Batch, side: int, seed: int, step: int) -> Batch:
     """One window of ``side`` x ``side`` pixels at the same place of all images; the light stays.
 
-    Every place is as likely; it depends on seed and step alone, so that all processes of a team cut alike.
+    The middle, where faces are, comes most often: an offset is the mean of two that are even. It depends on
+    seed and step alone, so that all processes of a team cut alike.
 
     Args:
         batch: of images at least as large.
@@ -32,7 +33,8 @@ def cut(batch: Batch, side: int, seed: int, step: int) -> Batch:
         step: number of the batch.
     """
     height, width = batch.image.shape[-2:]
-    row, column = np.random.default_rng([seed, _STREAM, step]).integers([height - side + 1, width - side + 1])
+    two = np.random.default_rng([seed, _STREAM, step]).uniform(size=(2, 2))
+    row, column = np.floor(two.mean(0) * [height - side + 1, width - side + 1]).astype(int)
 
     def part(planes: Tensor) -> Tensor:
         return planes[..., row : row + side, column : column + side].contiguous()
