@@ -17,7 +17,7 @@ from sfsnet_dr.data.exposure import metering_gain
 from sfsnet_dr.data.pseudo_labels import Values
 from sfsnet_dr.fit.trained import load_trained
 from sfsnet_dr.model.outputs import Decomposition
-from sfsnet_dr.model.predict import predict
+from sfsnet_dr.model.predict import predict, predict_both_ways
 from sfsnet_dr.render.shading_torch import shading, unit
 from sfsnet_dr.sh.basis_torch import sh_basis
 
@@ -74,18 +74,23 @@ def for_capture(method: Method, capture: str) -> Method:
 class NetworkMethod:
     """A trained network, at the size and with the form of values that it was trained with.
 
+    Args:
+        name: see ``Method``.
+        weights: its file, or the name of a shipped network.
+        once: see ``ask``.
+
     Raises:
         BadInput: for unusable weights.
     """
 
-    def __init__(self, name: str, weights: Path | str) -> None:
-        self.name = name
+    def __init__(self, name: str, weights: Path | str, *, once: bool = False) -> None:
+        self.name, self.once = name, once
         self.trained = load_trained(weights)
 
     def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Answer:
         """See ``Method``."""
         trained = self.trained
-        found, gain = ask(trained.model, images, masks, trained.size, trained.values)
+        found, gain = ask(trained.model, images, masks, trained.size, trained.values, once=self.once)
         normal, albedo, light = found
         image = albedo * shading(normal, light)
         if trained.values == "display":
@@ -94,7 +99,7 @@ class NetworkMethod:
 
 
 def ask(
-    model: nn.Module, images: Tensor, masks: Tensor, size: int, values: Values
+    model: nn.Module, images: Tensor, masks: Tensor, size: int, values: Values, *, once: bool = False
 ) -> tuple[Decomposition, Tensor]:
     """A network's answer at the resolution of the images, and the gains that it saw them with.
 
@@ -107,6 +112,7 @@ def ask(
         masks: (B, 1, H, W).
         size: width and height of the images that it was trained on.
         values: what an image's numbers are to it.
+        once: do not ask it for the mirror images too and take the mean: half the time.
 
     Returns:
         Unit normals, and albedo and light whose product is the image; where the network understands encoded
@@ -123,7 +129,9 @@ def ask(
         )
     gain = metering_gain(images, masks)
     small = functional.avg_pool2d(images * gain, found // size).clamp(0, 1)
-    answer = predict(model, linear_to_srgb(small) if values == "display" else small)
+    answer = (predict if once else predict_both_ways)(
+        model, linear_to_srgb(small) if values == "display" else small
+    )
     normal, albedo = (_grown(part, found) for part in (answer.normal, answer.albedo))
     light = answer.light / gain[:, :, 0, 0] if values == "linear" else answer.light
     return Decomposition(unit(normal), albedo, light), gain

@@ -135,6 +135,9 @@ class Evaluate:
     database: Annotated[
         Literal["yale-b", "photoface", "multipie"], arg(help="Whose lights `lights` are.")
     ] = "yale-b"
+    once: Annotated[
+        bool, arg(help="Do not ask networks for the mirror images too: half the time, less exact.")
+    ] = False
     quick: Annotated[bool, arg(help="Four subjects, half of the lights, 60 photographs.")] = False
     as_json: Json = False
 
@@ -150,7 +153,7 @@ class Evaluate:
         if not rest and Path(kind).is_dir() and kind not in (*KINDS, "all"):
             kind, folders = "folder", [Path(kind)]
         amount = Amount(self.most, self.quick, self.database)
-        wanted = Wanted(self.methods, self.weights, self.landmarks, self.model_path)
+        wanted = Wanted(self.methods, self.weights, self.landmarks, self.model_path, self.once)
         if kind == "all":
             if len(folders) != 1:
                 raise BadInput(f"all: {len(folders)} folders found, one is needed")

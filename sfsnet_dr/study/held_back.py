@@ -25,7 +25,7 @@ from sfsnet_dr.fit.trained import Trained
 from sfsnet_dr.metrics.bootstrap import interval
 from sfsnet_dr.metrics.normals import angular_error_deg
 from sfsnet_dr.model.outputs import Decomposition
-from sfsnet_dr.model.predict import predict
+from sfsnet_dr.model.predict import predict_both_ways
 from sfsnet_dr.render.shading_torch import f_render
 from sfsnet_dr.report.record import Record, measured
 
@@ -62,7 +62,7 @@ def on_rendered(trained: Trained, truth: FaceBatch) -> Numbers:
     strength. ``light.relative``: length of the error of the 27 coefficients over that of the coefficients.
     ``recon``: see ``on_photographs``.
     """
-    answer = predict(trained.model, truth.image)
+    answer = predict_both_ways(trained.model, truth.image)
     rows = [_truth_errors(answer, truth, index) for index in range(len(truth.image))]
     numbers = {name: np.array([row[name] for row in rows]) for name in rows[0]}
     return numbers | reconstruction(answer, truth.image, truth.mask, trained.values)
@@ -71,7 +71,7 @@ def on_rendered(trained: Trained, truth: FaceBatch) -> Numbers:
 def on_photographs(trained: Trained, photographs: PhotoSet) -> Numbers:
     """``recon.mae`` and ``recon.rmse`` of each photograph, 8-bit sRGB units on its mask."""
     image = as_network_input(photographs.images, trained.values)
-    answer = predict(trained.model, image)
+    answer = predict_both_ways(trained.model, image)
     return reconstruction(answer, image, photographs.masks.float() / 255, trained.values)
 
 

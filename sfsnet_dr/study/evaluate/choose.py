@@ -45,12 +45,14 @@ class Wanted:
         weights: of networks.
         landmarks: file of landmarks in the photographs' pixels; looked for at the database if None.
         model_path: face model of the 3DMM.
+        once: ask networks once for each photograph, see ``methods.ask``.
     """
 
     baselines: tuple[str, ...] = ()
     weights: tuple[Path, ...] = ()
     landmarks: Path | None = None
     model_path: Path | None = None
+    once: bool = False
 
 
 def methods_for(
@@ -90,7 +92,7 @@ def methods_for(
             left_out[name] = str(error)
     for path in wanted.weights:
         name = dotted(path.parent.name if path.stem == "weights" else path.stem)
-        network = NetworkMethod(name, path)
+        network = NetworkMethod(name, path, once=wanted.once)
         split = split_of(network)
         if split is not None:
             network.name = f"{name}-fold{split.fold}of{split.folds}"
