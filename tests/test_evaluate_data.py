@@ -20,6 +20,8 @@ from sfsnet_dr.apply.methods import Answer, FlatNormals
 from sfsnet_dr.base.checks import BadInput, WorkFailed
 from sfsnet_dr.cli import main
 from sfsnet_dr.data.databases import open_database, recognise
+from sfsnet_dr.model.sfsnet import SfSNet
+from sfsnet_dr.model.weights import save_weights
 from sfsnet_dr.scene.light_spec import LightSpec
 from sfsnet_dr.study.evaluate import synthetic as module
 from sfsnet_dr.study.evaluate.collect import Amount, collect
@@ -265,9 +267,10 @@ def test_all_data_end_on_one_page(tmp_path: Path, capsys: pytest.CaptureFixture[
         (yale / "yaleB01" / yale_name("yaleB01", -15, 0)).read_bytes()
     )
     write_spheres(tmp_path / "faces", 3)
-    out = tmp_path / "out"
+    weights, out = tmp_path / "tiny.safetensors", tmp_path / "out"
+    save_weights(weights, SfSNet(2, 2, 1), {"recipe": {"data": {"size": 16}}})
     arguments = ["evaluate", "all", str(tmp_path / "data"), "--faces", str(tmp_path / "faces"), "--json"]
-    assert main([*arguments, "--most", "4", "--out", str(out)]) == 0
+    assert main([*arguments, "--weights", str(weights), "--most", "4", "--out", str(out)]) == 0
     records = {row["what"]: row["value"] for row in json.loads(capsys.readouterr().out)}
     assert records["yale_b.skipped"] == 1
     assert records["yale_b.images"] == 24

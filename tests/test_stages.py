@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from sfsnet_dr.apply.display import png_bytes
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.data.augment import Augmentation
 from sfsnet_dr.data.dataset import load_faces
+from sfsnet_dr.data.flip import flip_light, flip_map, flip_normal
 from sfsnet_dr.data.photo_set import PhotoSet
 from sfsnet_dr.fit.trained import Trained
 from sfsnet_dr.fit.trainer import train
@@ -191,10 +193,12 @@ class Oracle(Network):
 
     def __init__(self, answer: Decomposition) -> None:
         super().__init__({})
-        self.answer = answer
+        normal, albedo, light = answer
+        mirrored = Decomposition(flip_normal(normal), flip_map(albedo), flip_light(light))
+        self.answers = itertools.cycle([answer, mirrored])
 
     def forward(self, image: Tensor) -> Decomposition:
-        return self.answer
+        return next(self.answers)  # it is asked for images and then for their mirror images
 
 
 def trained(answer: Decomposition) -> Trained:
