@@ -88,7 +88,7 @@ def counted(monkeypatch: pytest.MonkeyPatch, stop_at: int | None = None) -> list
         folders.append(folder)
         return train(recipe, faces, folder, progress=False, **more)
 
-    monkeypatch.setattr("sfsnet_dr.study.stages.train", training)
+    monkeypatch.setattr("sfsnet_dr.study.once.train", training)
     return folders
 
 

@@ -8,6 +8,7 @@ import json
 import tomllib
 import types
 import typing
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -56,6 +57,29 @@ def build(cls: type[T], table: dict[str, Any], where: str) -> T:
     return cls(**values)
 
 
+def changed(spec: T, table: Mapping[str, Any], where: str) -> T:
+    """A dataclass with some values of a table in place of its own; tables within it change nested ones.
+
+    Raises:
+        BadInput: for an unknown key or a value of another type, or what the dataclass itself refuses;
+            ``where`` prefixes the messages.
+    """
+    hints = typing.get_type_hints(type(spec))
+    values: dict[str, Any] = {}
+    for key, value in table.items():
+        if key not in hints:
+            raise BadInput(f"{where}: unknown key {key!r}; {nearest(key, hints)}")
+        held = getattr(spec, key)
+        if dataclasses.is_dataclass(held) and isinstance(value, dict):
+            values[key] = changed(held, value, f"{where}: {key}")
+        else:
+            values[key] = _convert(hints[key], value, f"{where}: {key}")
+    try:
+        return dataclasses.replace(spec, **values)  # type: ignore[type-var]
+    except BadInput as error:
+        raise BadInput(f"{where}: {error}") from error
+
+
 def added(default: Any) -> Any:
     """A field that came after data sets had been made: at its default it is left out of ``as_dict``.
 
@@ -97,6 +121,10 @@ def _convert(hint: Any, value: Any, where: str) -> Any:
     if origin is typing.Literal:
         if value not in arguments:
             raise BadInput(f"{where}: {value!r} found; {nearest(str(value), map(str, arguments))}")
+        return value
+    if origin is dict:
+        if not isinstance(value, dict):
+            raise BadInput(f"{where}: {value!r} found, a table is needed")
         return value
     if origin is tuple:
         return _convert_tuple(arguments, value, where)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -51,14 +51,11 @@ class Train:
     as_json: Json = False
 
     def run(self) -> Result:
-        from sfsnet_dr.fit.recipe import read_recipe
+        from sfsnet_dr.fit.recipe import lit_by, read_recipe
         from sfsnet_dr.fit.trainer import train
         from sfsnet_dr.report.record import dotted, measured
 
-        recipe = read_recipe(self.recipe)
-        if self.environments is not None:
-            light = replace(recipe.data.light, environments=str(self.environments))
-            recipe = replace(recipe, data=replace(recipe.data, light=light))
+        recipe = lit_by(read_recipe(self.recipe), self.environments)
         data = self.data or (self.out / "faces",)
         if not self.data:
             wanted = Synth(data[0], self.faces, scene=self.scene, resume=True)

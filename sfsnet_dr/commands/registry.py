@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from sfsnet_dr.commands.ablations import Ablations
 from sfsnet_dr.commands.bench import BenchRelight, BenchSynth
 from sfsnet_dr.commands.bench_kernels import BenchLoss, BenchRender, BenchTrain
 from sfsnet_dr.commands.faces import Relight, Show, Synth
@@ -29,6 +30,7 @@ COMMANDS: Final[dict[str, tuple[type[Command], str]]] = {
     "train": (Train, "Train a network by a recipe"),
     "pseudo-label": (PseudoLabel, "Label photographs with a network's answers"),
     "stages": (Stages, "Run every stage of training and measure the networks"),
+    "ablations": (Ablations, "Measure what each part of the method is worth"),
     "data check": (DataCheck, "Count what a folder of a face database holds"),
     "photometric-stereo": (PhotometricStereo, "Find normals from photographs under known lights"),
     "evaluate": (Evaluate, "Measure networks and baselines on faces with known normals"),

@@ -46,15 +46,17 @@ def pseudo_label(
     out: Path | str,
     *,
     size: int | None = None,
+    values: Values | None = None,
     on_shard: Callable[[int], object] = lambda _: None,
 ) -> dict[str, Any]:
     """Label photographs; a run that was stopped is gone on with.
 
     Args:
         photographs: of ``data.photo_source``; those held back are listed in the manifest and get no labels.
-        weights: of the network that answers. Its recipe says what a photograph's numbers are to it.
+        weights: of the network that answers.
         out: folder for the labels; made if missing.
         size: width and height; the size that the weights were trained at if not given.
+        values: what a photograph's numbers are to the network, if not what its recipe says.
         on_shard: called with the number of photographs that a shard took.
 
     Returns:
@@ -68,7 +70,7 @@ def pseudo_label(
     spec: dict[str, Any] = {
         "weights": sha256(weights_path(weights)),
         "size": size or trained.size,
-        "values": trained.values,
+        "values": values or trained.values,
         "photographs": photographs.fingerprint,
     }
     folder = LabelFolder(output_dir(out), spec)
@@ -77,7 +79,7 @@ def pseudo_label(
         if not folder.has(number):
             read = photographs.load(shard, spec["size"])
             reasons = {item.name: item.reason for item in read.skipped}
-            folder.write(number, label(trained.model, read, trained.values), read.names, read.hashes, reasons)
+            folder.write(number, label(trained.model, read, spec["values"]), read.names, read.hashes, reasons)
         on_shard(len(shard))
     return folder.finish(len(shards), photographs.held, photographs.skipped)
 

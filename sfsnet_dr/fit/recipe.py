@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final, Literal
 
@@ -205,6 +205,14 @@ def read_recipe(path: Path | str) -> Recipe:
     except BadInput as error:
         raise BadInput(f"{error}" if str(error).startswith(str(path)) else f"{path}: {error}") from error
     return recipe
+
+
+def lit_by(recipe: Recipe, environments: Path | None) -> Recipe:
+    """The recipe with a folder of environment maps in place of its own; as it is for None."""
+    if environments is None:
+        return recipe
+    light = replace(recipe.data.light, environments=str(environments))
+    return replace(recipe, data=replace(recipe.data, light=light))
 
 
 def multiplies_bfloat16(device: torch.device) -> bool:

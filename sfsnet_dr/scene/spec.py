@@ -124,6 +124,16 @@ def load_scene(path: Path | str) -> SceneSpec:
         BadInput: naming the file and key, what was found and what is allowed.
     """
     spec = load_toml(SceneSpec, path)
+    check_scene(spec, str(path))
+    return spec
+
+
+def check_scene(spec: SceneSpec, where: str) -> None:
+    """Refuse numbers out of their range; ``where`` prefixes the message.
+
+    Raises:
+        BadInput: naming the key, what was found and what is allowed.
+    """
     limits = {
         "camera.distance": (spec.camera.distance, 3.0, 1e4),
         "camera.size": (spec.camera.size, 1, 4096),
@@ -148,5 +158,4 @@ def load_scene(path: Path | str) -> SceneSpec:
     limits |= {f"albedo[{k}]": (value, 0.0, 1.0) for k, value in enumerate(spec.albedo or ())}
     for key, (value, low, high) in limits.items():
         if not low <= value <= high:
-            raise BadInput(f"{path}: {key}: {value} found, {low} to {high} allowed")
-    return spec
+            raise BadInput(f"{where}: {key}: {value} found, {low} to {high} allowed")

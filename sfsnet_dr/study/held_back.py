@@ -50,8 +50,13 @@ UNITS: Final = {
 
 def held_batch(faces: Faces, augmentation: Augmentation, count: int) -> FaceBatch:
     """``count`` photographs of held-back faces, the same for every network, each face as often as another."""
+    return held_pictures(faces, augmentation, count).batch(0)
+
+
+def held_pictures(faces: Faces, augmentation: Augmentation, count: int) -> RelitFaces:
+    """The sequence whose batch 0 ``held_batch`` is, and whose ``indices(0)`` say which face each shows."""
     bank = draw_bank(augmentation.light, min(_LIGHTS, augmentation.lights), _SEED)
-    return RelitFaces(faces, count, augmentation, _SEED, bank).batch(0)
+    return RelitFaces(faces, count, augmentation, _SEED, bank)
 
 
 def on_rendered(trained: Trained, truth: FaceBatch) -> Numbers:

@@ -6,36 +6,27 @@ photographs, and SfSNet learns from both; the networks that the paper compares w
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from rich.console import Console
 
-from sfsnet_dr.base import atomic
 from sfsnet_dr.base.atomic import output_dir
 from sfsnet_dr.base.checks import BadInput
-from sfsnet_dr.base.config import as_dict, load_toml
-from sfsnet_dr.base.provenance import sha256
+from sfsnet_dr.base.config import load_toml
 from sfsnet_dr.data.dataset import load_faces
-from sfsnet_dr.data.manifest import NAME as FACES_MANIFEST
-from sfsnet_dr.data.manifest import Manifest
 from sfsnet_dr.data.photo_source import PhotoSource, photo_folder, stand_ins
 from sfsnet_dr.data.pseudo_labels import MANIFEST as LABELS_MANIFEST
 from sfsnet_dr.data.surface_faces import load_learnt
-from sfsnet_dr.data.surface_labels import INDEX as SURFACES_INDEX
-from sfsnet_dr.data.synth import synthesize
-from sfsnet_dr.fit.checkpoint import differences
-from sfsnet_dr.fit.pseudo_label import pseudo_label
-from sfsnet_dr.fit.recipe import Recipe, read_recipe
-from sfsnet_dr.fit.run import CHECKPOINT, WEIGHTS
-from sfsnet_dr.fit.trainer import train
-from sfsnet_dr.report.console import bar
+from sfsnet_dr.fit.recipe import Recipe, lit_by, read_recipe
+from sfsnet_dr.fit.run import WEIGHTS
 from sfsnet_dr.report.record import Record
 from sfsnet_dr.scene.spec import SceneSpec, load_scene
+from sfsnet_dr.study.once import label_photographs, render_missing, train_once
 
 #: Networks in the order in which they are trained; photographs are labelled by the first, before the second.
 NETWORKS: Final = ("skipnet-syn", "sfsnet", "sfsnet-syn", "skipnet-plus")
@@ -43,9 +34,6 @@ LABELLER: Final = "skipnet-syn"
 #: The optional network after them, fine-tuned from the second on normals by photometric stereo.
 FINE_TUNED: Final = "sfsnet-ft"
 FINE_TUNED_FROM: Final = "sfsnet"
-
-#: What a finished stage was made from.
-DONE: Final = "stage.json"
 
 
 @dataclass(frozen=True)
@@ -149,11 +137,12 @@ def read_plan(
             f"stages: photographs are needed by pseudo-label, sfsnet and skipnet-plus: {found}; give "
             "--photographs DIR, or --rendered-photographs to let rendered faces stand in for them"
         )
-    recipes = {name: _recipe(path.parent / spec.recipes, name, environments) for name in NETWORKS}
+    folder = path.parent / spec.recipes
+    recipes = {name: lit_by(read_recipe(folder / f"{name}.toml"), environments) for name in NETWORKS}
     if surfaces is not None:
-        recipes[FINE_TUNED] = _recipe(path.parent / spec.recipes, FINE_TUNED, environments)
+        recipes[FINE_TUNED] = lit_by(read_recipe(folder / f"{FINE_TUNED}.toml"), environments)
         load_learnt(surfaces, recipes[FINE_TUNED].surfaces, recipes[FINE_TUNED].data.size)
-    _check_alike(path.parent / spec.recipes, recipes)
+    _check_alike(folder, recipes)
     scene = SceneSpec("faces", "anny") if spec.scene is None else load_scene(path.parent / spec.scene)
     return Plan(spec, recipes, scene, Path(out), tuple(data), photographs, surfaces)
 
@@ -214,14 +203,6 @@ def photographs_of(plan: Plan) -> PhotoSource:
     return stand_ins(train_faces, held, data, held_back=spec.held_back, most=most)
 
 
-def _recipe(folder: Path, name: str, environments: Path | None) -> Recipe:
-    recipe = read_recipe(folder / f"{name}.toml")
-    if environments is None:
-        return recipe
-    light = replace(recipe.data.light, environments=str(environments))
-    return replace(recipe, data=replace(recipe.data, light=light))
-
-
 def _check_alike(folder: Path, recipes: dict[str, Recipe]) -> None:
     first = recipes[LABELLER]
     for name, recipe in recipes.items():
@@ -246,49 +227,18 @@ def _render(plan: Plan, rule: Callable[[str, str], None]) -> None:
         rule("faces", "given")
         return
     [folder] = plan.faces
-    there = len(Manifest(folder).finished_seeds()) if (folder / FACES_MANIFEST).exists() else 0
-    count = plan.spec.faces
-    rule("faces", "rendered before" if there >= count else f"rendering {count - there}")
-    if there < count:
-        with bar("rendering faces", count, there) as advance:
-            synthesize(folder, plan.scene, count, resume=folder.exists(), on_face=lambda _: advance())
+    render_missing(folder, plan.scene, plan.spec.faces, partial(rule, "faces"))
 
 
 def _label(plan: Plan, source: PhotoSource, rule: Callable[[str, str], None]) -> None:
     done = (plan.labels / LABELS_MANIFEST).is_file()
     rule("pseudo-label", "done before" if done else f"{len(source.train)} photographs by {LABELLER}")
-    with bar("labelling photographs", len(source.train)) as advance:
-
-        def on_shard(count: int) -> None:
-            for _ in range(count):
-                advance()
-
-        pseudo_label(source, plan.folder / LABELLER / WEIGHTS, plan.labels, on_shard=on_shard)
+    label_photographs(source, plan.folder / LABELLER / WEIGHTS, plan.labels)
 
 
 def _train(plan: Plan, name: str, folder: Path, rule: Callable[[str, str], None]) -> None:
-    """Train a network unless that was done, and note what from."""
     recipe = plan.recipes[name]
     labels = plan.labels if recipe.real.share else None
     surfaces = plan.surfaces if recipe.surfaces.share else None
     start = plan.folder / FINE_TUNED_FROM / WEIGHTS if name == FINE_TUNED else None
-    wanted: dict[str, Any] = {
-        "recipe": as_dict(recipe),
-        "faces": [sha256(part / FACES_MANIFEST) for part in plan.faces],
-        "labels": None if labels is None else sha256(labels / LABELS_MANIFEST),
-    }
-    if surfaces is not None and start is not None:
-        wanted |= {"surfaces": sha256(surfaces / SURFACES_INDEX), "start": sha256(start)}
-    note = folder / DONE
-    if note.is_file() and (folder / WEIGHTS).is_file():
-        for where, found, asked in differences(json.loads(note.read_text(encoding="utf-8")), wanted):
-            raise BadInput(
-                f"{note}: {where} = {found!r} found, {asked!r} asked for; choose another --out, or remove "
-                f"{folder} to train it anew"
-            )
-        rule(name, "done before")
-        return
-    resume = (folder / CHECKPOINT).is_file()
-    rule(name, "going on" if resume else f"{recipe.steps} steps")
-    train(recipe, plan.faces, folder, labels=labels, surfaces=surfaces, resume=resume, start=start)
-    atomic.write_text(note, json.dumps(wanted, indent=1, sort_keys=True) + "\n")
+    train_once(recipe, plan.faces, folder, partial(rule, name), labels=labels, surfaces=surfaces, start=start)

@@ -94,16 +94,16 @@ def _normals(one: _One, every: Sequence[ImageErrors]) -> list[Record]:
     images = [e for e in every if e.normals is not None]
     if not images:
         return []
-    by_subject = _by_subject(images, np.array([e.normals.all for e in images if e.normals is not None]))
+    sums = by_subject(images, np.array([e.normals.all for e in images if e.normals is not None]))
     found = []
-    for key, value in _statistics(by_subject.sum(0)).items():
+    for key, value in _statistics(sums.sum(0)).items():
         ends = None
-        if len(by_subject) > 1:
+        if len(sums) > 1:
 
             def statistic(drawn: Array, key: str = key) -> float:
                 return _statistics(drawn.sum(0))[key]
 
-            ends = tuple(interval(by_subject, statistic))
+            ends = tuple(interval(sums, statistic))
         found.append(one(f"normals.{key}", value, "degrees" if key.endswith("deg") else "%", ends))
     for low, high in BINS:
         part = [e for e in images if (angle := angle_of(e)) is not None and low <= angle < high]
@@ -150,14 +150,14 @@ def _classes(one: _One, name: str, every: Sequence[ImageErrors]) -> list[Record]
 def _ends(images: Sequence[ImageErrors], values: npt.ArrayLike) -> tuple[float, float] | None:
     """Interval of the mean over photographs by drawing subjects."""
     numbers = np.asarray(values, np.float64)
-    sums = _by_subject(images, np.stack([numbers, np.ones_like(numbers)], 1))
+    sums = by_subject(images, np.stack([numbers, np.ones_like(numbers)], 1))
     if len(sums) < 2:
         return None
     low, high = interval(sums, lambda drawn: float(drawn[:, 0].sum() / drawn[:, 1].sum()))
     return low, high
 
 
-def _by_subject(images: Sequence[ImageErrors], rows: Array) -> Array:
+def by_subject(images: Sequence[ImageErrors], rows: Array) -> Array:
     """Sums of rows (N, K) over the photographs of each subject."""
     _, places = np.unique([e.shot.subject for e in images], return_inverse=True)
     total = np.zeros((places.max() + 1, rows.shape[1]))
