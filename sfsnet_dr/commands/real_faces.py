@@ -131,7 +131,7 @@ class Evaluate:
     faces: Annotated[
         tuple[Path, ...], arg(metavar="DIR", help="For all: folders of rendered faces that lie elsewhere.")
     ] = ()
-    most: Annotated[int, arg(help="Photographs of celeba, a folder or synthetic, at most.")] = 500
+    most: Annotated[int, arg(help="Photographs of celeba, a folder or synthetic, at most.")] = 300
     database: Annotated[
         Literal["yale-b", "photoface", "multipie"], arg(help="Whose lights `lights` are.")
     ] = "yale-b"

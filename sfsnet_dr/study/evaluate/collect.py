@@ -43,7 +43,7 @@ class Amount:
         database: whose lights ``lights`` classifies.
     """
 
-    most: int = 500
+    most: int = 300
     quick: bool = False
     database: str = "yale-b"
 
