@@ -53,15 +53,6 @@ def test_there_are_recipes() -> None:
         ("steps = 5\n[model]\narchitecture = 'sfsnot'", "'sfsnot' found; did you mean 'sfsnet'"),
         ("steps = 5\n[model]\nblocks = 0", "blocks: 0 found"),
         (
-            "steps = 5\n[data]\nsize = 64\nwindow = 65",
-            "data.window: 65 found, a multiple of 2 up to the images' 64",
-        ),
-        ("steps = 5\n[data]\nwindow = 0", "data.window: 0 found, a multiple of 2"),
-        (
-            "steps = 5\n[model]\narchitecture = 'skipnet'\n[data]\nwindow = 96",
-            "data.window: 96 found, but a skipnet sees whole images; leave",
-        ),
-        (
             "steps = 5\n[model]\narchitecture = 'skipnet'\nstem = 4",
             "skipnet configuration: unknown key 'stem'",
         ),

@@ -13,7 +13,6 @@ from torch.nn import functional
 
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.base.color import LUMINANCE
-from sfsnet_dr.base.config import added
 from sfsnet_dr.data.photo_effects import PhotoOptions
 from sfsnet_dr.scene.light_spec import LightSpec
 
@@ -35,8 +34,6 @@ class Augmentation:
             balanced and exposed anew.
         light: their kinds, and the ranges of exposure and white balance.
         photo: what the camera does.
-        window: side of the square that is cut from each batch's images (``data.window``), in pixels; None for
-            whole images. Real faces of a mixed batch are cut alike.
 
     Raises:
         BadInput: for a value out of its range.
@@ -48,7 +45,6 @@ class Augmentation:
     lights: int = 4096
     light: LightSpec = field(default_factory=LightSpec)
     photo: PhotoOptions = field(default_factory=PhotoOptions)
-    window: int | None = added(None)
 
     def __post_init__(self) -> None:
         if not 0 <= self.flip <= 1:

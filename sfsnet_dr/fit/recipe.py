@@ -20,7 +20,7 @@ from sfsnet_dr.loss.reconstruction import Backend
 from sfsnet_dr.loss.terms import LossWeights
 from sfsnet_dr.model.network import Network
 from sfsnet_dr.model.sfsnet import SfSNet
-from sfsnet_dr.model.weights import ARCHITECTURES, build, settings
+from sfsnet_dr.model.weights import build, settings
 
 Precision = Literal["auto", "float32", "bfloat16"]
 
@@ -52,22 +52,6 @@ class ModelRecipe:
         """
         given = {name: getattr(self, name) for name in ("stem", "features", "blocks", "width")}
         return settings(self.architecture) | {k: v for k, v in given.items() if v is not None}
-
-    def check_window(self, window: int, size: int) -> None:
-        """Refuse windows of images of ``size`` pixels that the architecture cannot learn from.
-
-        Raises:
-            BadInput: if its layers fix the size of its images, or for another than allowed.
-        """
-        if "size" in self.config:
-            raise BadInput(
-                f"data.window: {window} found, but a {self.architecture} sees whole images; leave it out"
-            )
-        multiple = ARCHITECTURES[self.architecture].multiple
-        if not 0 < window <= size or window % multiple:
-            raise BadInput(
-                f"data.window: {window} found, a multiple of {multiple} up to the images' {size} is needed"
-            )
 
     def make(self, size: int = FACE_SIZE) -> Network:
         """A freshly initialised network for images of ``size`` pixels square.
@@ -173,8 +157,6 @@ class Recipe:
     def __post_init__(self) -> None:
         _positive(self, "steps", "batch_size", "checkpoint_every")
         _not_negative(self, "seed", "most_skipped", "pictures_every")
-        if self.data.window is not None:
-            self.model.check_window(self.data.window, self.data.size or FACE_SIZE)
         photographs, captures = self.real.count(self.batch_size), self.surfaces.count(self.batch_size)
         if photographs and captures:
             raise BadInput(

@@ -15,10 +15,8 @@ from safetensors import SafetensorError
 from sfsnet_dr.base.checks import WorkFailed
 from sfsnet_dr.base.config import as_dict
 from sfsnet_dr.base.provenance import sha256
-from sfsnet_dr.data.batch import FaceBatch
 from sfsnet_dr.data.dataset import RelitFaces
-from sfsnet_dr.data.mixture import MixedBatch, MixedFaces
-from sfsnet_dr.data.window import cut
+from sfsnet_dr.data.mixture import MixedFaces
 from sfsnet_dr.fit.board import Board
 from sfsnet_dr.fit.checkpoint import Progress, load_checkpoint, save_checkpoint
 from sfsnet_dr.fit.collapse import PARTS, Watch
@@ -142,7 +140,8 @@ class Run:
         started = time.perf_counter()
         rate = self.recipe.optimiser.rate(number, self.recipe.steps)
         try:
-            values = training_step(self.model, self.adam, self._batch(number), self.recipe, rate, self.team)
+            batch = self.batches.batch(number, self.team.rank, self.team.size)
+            values = training_step(self.model, self.adam, batch, self.recipe, rate, self.team)
             speed = self.recipe.batch_size / (time.perf_counter() - started)
             warning = self.watch.see(_spreads(values))
             more = {"warning": warning} if warning else {}
@@ -196,11 +195,6 @@ class Run:
                 raise self._unwritable(path, error) from error
         self.team.wait()
         return TrainResult(path, self.folder / HISTORY, first, final, self.done.skipped)
-
-    def _batch(self, number: int) -> FaceBatch | MixedBatch:
-        batch = self.batches.batch(number, self.team.rank, self.team.size)
-        side = self.recipe.data.window
-        return batch if side is None else cut(batch, side, self.recipe.seed, number)
 
     def _note(self, **values: Any) -> None:
         if self._history is not None:

@@ -77,14 +77,16 @@ def measure_shipped(
     folder = output_dir(out) / "faces"
     synthesize(folder, SceneSpec("faces", "anny"), FACES, seed=FIRST_SEED, resume=True, on_face=on_face)
     source = None if photographs is None else photo_folder(photographs, held_back=PHOTOGRAPHS)
+    shown = {}
+    if source is not None:  # once for all networks of a size
+        shown = {size: source.load(source.held, size) for size in {each.size for each in networks.values()}}
     records: list[Record] = []
     for name, trained in networks.items():
         wanted = replace(Augmentation(), size=trained.size)
         truth = held_batch(load_faces(folder, trained.size), wanted, PICTURES)
         records += records_of(on_rendered(trained, truth), "synthetic", name, command)
         if source is not None:
-            pictures = source.load(source.held, trained.size)
-            records += records_of(on_photographs(trained, pictures), "photographs", name, command)
+            records += records_of(on_photographs(trained, shown[trained.size]), "photographs", name, command)
     return records
 
 
