@@ -6,6 +6,7 @@ from typing import Final
 
 from sfsnet_dr.report.difference_figure import Difference, difference_plot
 from sfsnet_dr.report.html import Block, Figure, Note, Section, Table, write_page
+from sfsnet_dr.report.numbers import all_numbers
 from sfsnet_dr.report.record import Record, write_records
 from sfsnet_dr.study.ablations import Case, Plan
 from sfsnet_dr.study.ablations_measure import MEASURED, SYNTHETIC, Comparison, Measurements, measure_all
@@ -25,7 +26,7 @@ def finish(plan: Plan, ledger: Ledger, command: str) -> list[Record]:
     found = measure_all(plan)
     records = records_of(plan, found, ledger, command)
     write_records(plan.folder / "records.json", records)
-    sections = [_summary(plan, found, records), _variants(plan), _numbers(records)]
+    sections = [_summary(plan, found, records), _variants(plan), all_numbers(records, "people")]
     if found.losses:
         sections.insert(2, _losses(plan, found))
     footer = ", ".join(f"{name} {number}" for name, number in records[0].versions.items())
@@ -147,17 +148,3 @@ def _losses(plan: Plan, found: Measurements) -> Section:
     return Section(
         "The same loss, computed elsewhere", [Table(["variant", "first step", "any step"], rows, caption)]
     )
-
-
-def _numbers(records: list[Record]) -> Section:
-    rows = [
-        [
-            record.what,
-            f"{record.value:.4g}",
-            "" if record.interval is None else f"{record.interval[0]:.4g} to {record.interval[1]:.4g}",
-            record.unit,
-        ]
-        for record in records
-    ]
-    caption = "The same as in `records.json`, with 95 % intervals over people."
-    return Section("All numbers", [Table(["what", "value", "interval", "unit"], rows, caption)])

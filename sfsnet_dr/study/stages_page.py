@@ -26,6 +26,7 @@ from sfsnet_dr.data.pseudo_labels import decoded, load_pseudo_labels
 from sfsnet_dr.render.shading_torch import shading
 from sfsnet_dr.report.figures import loss_curve
 from sfsnet_dr.report.html import Block, Figure, KeyNumbers, Note, Section, Table, write_page
+from sfsnet_dr.report.numbers import all_numbers
 from sfsnet_dr.report.record import Record, measured, write_records
 from sfsnet_dr.study.held_back import find
 from sfsnet_dr.study.stages import NETWORKS, Plan
@@ -68,7 +69,7 @@ def finish(plan: Plan, source: PhotoSource, command: str, begin: float) -> list[
         *(_stage(outcome, name) for name in NETWORKS),
         _photographs(outcome),
         _rendered(outcome),
-        _numbers(records),
+        all_numbers(records, "images"),
     ]
     footer = ", ".join(f"{name} {number}" for name, number in seconds.versions.items())
     write_page(plan.folder / "index.html", "Stages of SfS-supervision", _LEAD, sections, footer=footer)
@@ -247,20 +248,6 @@ def _rows(outcome: Outcome, picture: Picture) -> list[tuple[str, Pixels]]:
 
 def _figure(cells: list[tuple[str, Pixels]], title: str, caption: str) -> Figure:
     return Figure(sheet(cells, title=title, columns=len(_PARTS), style=_STYLE), caption, density=1)
-
-
-def _numbers(records: list[Record]) -> Section:
-    rows = [
-        [
-            record.what,
-            f"{record.value:.4g}",
-            "" if record.interval is None else f"{record.interval[0]:.4g} to {record.interval[1]:.4g}",
-            record.unit,
-        ]
-        for record in records
-    ]
-    caption = "The same as in `records.json`, with 95 % intervals over images."
-    return Section("All numbers", [Table(["what", "value", "interval", "unit"], rows, caption)])
 
 
 def _cell(outcome: Outcome, what: str, digits: int) -> str:
