@@ -19,13 +19,13 @@ from sfsnet_dr.apply.display import png_bytes
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.data.augment import Augmentation
 from sfsnet_dr.data.dataset import load_faces
-from sfsnet_dr.data.flip import flip_light, flip_map, flip_normal
 from sfsnet_dr.data.photo_set import PhotoSet
 from sfsnet_dr.fit.trained import Trained
 from sfsnet_dr.fit.trainer import train
 from sfsnet_dr.metrics.image import mae_8bit, rmse_8bit
 from sfsnet_dr.model.network import Network
 from sfsnet_dr.model.outputs import Decomposition
+from sfsnet_dr.model.predict import mirrored
 from sfsnet_dr.render.shading_torch import f_render
 from sfsnet_dr.report.record import read_records
 from sfsnet_dr.study.held_back import held_batch, on_photographs, on_rendered, reconstruction
@@ -193,9 +193,7 @@ class Oracle(Network):
 
     def __init__(self, answer: Decomposition) -> None:
         super().__init__({})
-        normal, albedo, light = answer
-        mirrored = Decomposition(flip_normal(normal), flip_map(albedo), flip_light(light))
-        self.answers = itertools.cycle([answer, mirrored])
+        self.answers = itertools.cycle([answer, mirrored(answer)])
 
     def forward(self, image: Tensor) -> Decomposition:
         return next(self.answers)  # it is asked for images and then for their mirror images

@@ -42,9 +42,7 @@ def build(cls: type[T], table: dict[str, Any], where: str) -> T:
     """Build a dataclass from a table; ``where`` prefixes the messages."""
     hints = typing.get_type_hints(cls)
     fields = {field.name: field for field in dataclasses.fields(cls)}  # type: ignore[arg-type]
-    for key in table:
-        if key not in fields:
-            raise BadInput(f"{where}: unknown key {key!r}; {nearest(key, fields)}")
+    _check_keys(table, fields, where)
     required = [
         name
         for name, field in fields.items()
@@ -65,10 +63,9 @@ def changed(spec: T, table: Mapping[str, Any], where: str) -> T:
             ``where`` prefixes the messages.
     """
     hints = typing.get_type_hints(type(spec))
+    _check_keys(table, hints, where)
     values: dict[str, Any] = {}
     for key, value in table.items():
-        if key not in hints:
-            raise BadInput(f"{where}: unknown key {key!r}; {nearest(key, hints)}")
         held = getattr(spec, key)
         if dataclasses.is_dataclass(held) and isinstance(value, dict):
             values[key] = changed(held, value, f"{where}: {key}")
@@ -78,6 +75,12 @@ def changed(spec: T, table: Mapping[str, Any], where: str) -> T:
         return dataclasses.replace(spec, **values)  # type: ignore[type-var]
     except BadInput as error:
         raise BadInput(f"{where}: {error}") from error
+
+
+def _check_keys(table: Mapping[str, Any], known: Mapping[str, Any], where: str) -> None:
+    for key in table:
+        if key not in known:
+            raise BadInput(f"{where}: unknown key {key!r}; {nearest(key, known)}")
 
 
 def added(default: Any) -> Any:

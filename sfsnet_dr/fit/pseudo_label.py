@@ -24,13 +24,13 @@ from torch.nn import functional
 from sfsnet_dr.base.atomic import output_dir
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.base.provenance import sha256
-from sfsnet_dr.data.flip import flip_light, flip_map, flip_normal
+from sfsnet_dr.data.flip import flip_map
 from sfsnet_dr.data.photo_set import PhotoSet
 from sfsnet_dr.data.photo_source import PhotoSource
 from sfsnet_dr.data.pseudo_labels import SHARD, LabelFolder, Labels, Values, as_network_input, encoded
 from sfsnet_dr.fit.trained import load_trained
 from sfsnet_dr.model.outputs import Decomposition
-from sfsnet_dr.model.predict import predict
+from sfsnet_dr.model.predict import mirrored, predict
 from sfsnet_dr.model.shipped import weights_path
 
 #: Deviations at which a pixel's confidence has fallen to a half.
@@ -118,10 +118,8 @@ def _answer(model: nn.Module, image: Tensor, flip: bool, shift: tuple[int, int])
     view = _shifted(flip_map(image) if flip else image, shift)
     normal, albedo, light = predict(model, view)
     back = (-shift[0], -shift[1])
-    normal, albedo = _shifted(normal, back), _shifted(albedo, back)
-    if flip:
-        normal, albedo, light = flip_normal(normal), flip_map(albedo), flip_light(light)
-    return Decomposition(normal, albedo, light)
+    answer = Decomposition(_shifted(normal, back), _shifted(albedo, back), light)
+    return mirrored(answer) if flip else answer
 
 
 def _shifted(image: Tensor, shift: tuple[int, int]) -> Tensor:

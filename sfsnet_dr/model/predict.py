@@ -36,9 +36,15 @@ def predict_both_ways(model: nn.Module, images: Tensor, batch_size: int = 16) ->
     What a network says of a reflected face should be the reflection of what it says of the face. Where it is
     not, the mean is nearer to the truth: README, "Real faces", tells by how much.
     """
-    straight, mirrored = predict(model, images, batch_size), predict(model, flip_map(images), batch_size)
+    straight = predict(model, images, batch_size)
+    back = mirrored(predict(model, flip_map(images), batch_size))
     return Decomposition(
-        unit(straight.normal + flip_normal(mirrored.normal)),
-        (straight.albedo + flip_map(mirrored.albedo)) / 2,
-        (straight.light + flip_light(mirrored.light)) / 2,
+        unit(straight.normal + back.normal),
+        (straight.albedo + back.albedo) / 2,
+        (straight.light + back.light) / 2,
     )
+
+
+def mirrored(answer: Decomposition) -> Decomposition:
+    """The left-right reflection of an answer."""
+    return Decomposition(flip_normal(answer.normal), flip_map(answer.albedo), flip_light(answer.light))

@@ -19,7 +19,7 @@ from sfsnet_dr.data.batch import FaceBatch
 from sfsnet_dr.data.dataset import load_faces
 from sfsnet_dr.fit.history import read_history
 from sfsnet_dr.fit.run import HISTORY, WEIGHTS
-from sfsnet_dr.fit.trained import Trained, load_trained
+from sfsnet_dr.fit.trained import Trained
 from sfsnet_dr.metrics.bootstrap import interval
 from sfsnet_dr.report.console import bar
 from sfsnet_dr.study.ablations import Case, Plan
@@ -86,11 +86,10 @@ def measure_all(plan: Plan) -> Measurements:
         for case in plan.cases:
             for seed in plan.spec.seeds:
                 path = plan.network_folder(plan.network(case), seed) / WEIGHTS
-                trained = replace(load_trained(path), values=case.recipe.real.values)
-                sums[SYNTHETIC].setdefault(case.name, []).append(_on_rendered(trained, truth, shown))
+                method = NetworkMethod(case.name, path)
+                method.trained = replace(method.trained, values=case.recipe.real.values)
+                sums[SYNTHETIC].setdefault(case.name, []).append(_on_rendered(method.trained, truth, shown))
                 if collection is not None:
-                    method = NetworkMethod(case.name, path)
-                    method.trained = trained
                     sums[MEASURED].setdefault(case.name, []).append(_on_photographs(method, collection))
                 advance()
     found = {
