@@ -21,6 +21,7 @@ from sfsnet_dr.data.light_bank import bank_of
 from sfsnet_dr.data.manifest import Entry, Manifest
 from sfsnet_dr.data.photo_effects import PhotoOptions
 from sfsnet_dr.data.relight import mixture, relight_scene
+from sfsnet_dr.data.view import View
 from sfsnet_dr.scene.light_spec import LightSpec
 from sfsnet_dr.scene.lights import SceneLight
 from sfsnet_dr.sh.basis import sh_basis
@@ -109,7 +110,7 @@ def test_grey_pictures_have_grey_answers(faces: Faces) -> None:
 
 def test_smaller_faces_are_means_of_larger_ones(tmp_path: Path) -> None:
     folder = write_spheres(tmp_path / "spheres", 2)
-    whole, half = load_faces(folder), load_faces(folder, 8)
+    whole, half = load_faces(folder), load_faces(folder, View(8))
     assert half.transport.shape == (2, 9, 3, 8, 8)
     assert half.fingerprint != whole.fingerprint
     expected = whole.lamps.float().reshape(2, 2, 3, 8, 2, 8, 2).mean((4, 6))
@@ -117,8 +118,8 @@ def test_smaller_faces_are_means_of_larger_ones(tmp_path: Path) -> None:
     batch = RelitFaces(half, 2, PLAIN, seed=1).batch(0)
     length = batch.normal.norm(dim=1, keepdim=True)[batch.mask == 1]
     torch.testing.assert_close(length, torch.ones_like(length), atol=1e-6, rtol=0)
-    with pytest.raises(BadInput, match=r"16 x 16 pixels found, a multiple of data\.size 5"):
-        load_faces(folder, 5)
+    with pytest.raises(BadInput, match=r"16 x 16 pixels found, a square of 20 .*; see data\.size"):
+        load_faces(folder, View(20))
 
 
 def test_a_batch_depends_on_seed_and_number_only(faces: Faces) -> None:

@@ -12,6 +12,7 @@ from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.base.imageio import write_png
 from sfsnet_dr.data.landmarks import canonical_landmarks, eye_centres, skin_mask
 from sfsnet_dr.data.photo_set import hold_back, list_photos, load_photos
+from sfsnet_dr.data.view import View
 
 Array = npt.NDArray[np.float64]
 
@@ -76,7 +77,7 @@ def test_the_mask_is_the_face_without_eyes_and_mouth(size: int) -> None:
 
 def test_a_constant_picture_stays_what_it_is(tmp_path: Path) -> None:
     photos, skipped = list_photos(write_photos(tmp_path / "p", 2))
-    loaded = load_photos(photos, 32)
+    loaded = load_photos(photos, View(32))
     assert not skipped
     assert not loaded.skipped
     assert tuple(loaded.images.shape) == (2, 3, 32, 32)
@@ -98,7 +99,7 @@ def test_what_cannot_be_used_is_told_and_left_out(tmp_path: Path) -> None:
     (folder / "002.png").write_bytes(b"this is no picture")
     photos, skipped = list_photos(folder)
     assert [(s.name, s.reason.split()[1]) for s in skipped] == [("001.png", "landmarks"), ("004.png", "name")]
-    loaded = load_photos(photos, 16)
+    loaded = load_photos(photos, View(16))
     assert loaded.names == ("000.png", "003.png")
     assert [s.name for s in loaded.skipped] == ["002.png"]
     assert "002.png" in loaded.skipped[0].reason

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,11 +12,16 @@ from torch import Tensor, nn
 
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.base.conventions import LIGHT_SIZE
+from sfsnet_dr.data.augment import Augmentation
 from sfsnet_dr.data.flip import flip_light, flip_map, flip_normal
+from sfsnet_dr.data.mixture import RealOptions
 from sfsnet_dr.data.photo_source import photo_folder
 from sfsnet_dr.data.pseudo_labels import decoded, encoded, load_pseudo_labels
+from sfsnet_dr.data.view import View
 from sfsnet_dr.fit import pseudo_label as module
 from sfsnet_dr.fit.pseudo_label import confident_answer, pseudo_label
+from sfsnet_dr.fit.real_sources import real_kind
+from sfsnet_dr.fit.recipe import Recipe
 from sfsnet_dr.model.outputs import Decomposition
 from sfsnet_dr.model.sfsnet import SfSNet
 from sfsnet_dr.model.weights import save_weights
@@ -143,3 +149,20 @@ def test_labels_of_two_kinds_are_not_mixed(weights: Path, tmp_path: Path) -> Non
     shard.write_bytes(shard.read_bytes()[:-1] + b"\1")
     with pytest.raises(BadInput, match="missing or changed"):
         load_pseudo_labels(tmp_path / "out")
+
+
+def test_labels_show_as_much_of_the_frame_as_their_network_saw(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    data = {"size": 16, "crop": 96}
+    save_weights(tmp_path / "w.safetensors", SfSNet(4, 4, 1), {"recipe": {"data": data}})
+    source = photo_folder(write_photos(tmp_path / "p", 2), held_back=0)
+    pseudo_label(source, tmp_path / "w.safetensors", tmp_path / "out")
+    found = load_pseudo_labels(tmp_path / "out")
+    assert found.spec["crop"] == 96
+    assert torch.equal(found.labels.mask, source.load(found.names, View(16, 96)).masks)
+    assert not torch.equal(found.labels.mask, source.load(found.names, View(16)).masks)
+    recipe = Recipe(steps=1, batch_size=4, data=Augmentation(size=16), real=RealOptions(share=0.5))
+    with pytest.raises(BadInput, match=r"labels of 96 of .* pixels found, data\.crop 128 is needed"):
+        real_kind(recipe, tmp_path / "out", None, None)
+    middle = replace(recipe, data=replace(recipe.data, crop=96))
+    assert real_kind(middle, tmp_path / "out", None, None).count == 2

@@ -20,6 +20,7 @@ from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.data.augment import Augmentation
 from sfsnet_dr.data.dataset import load_faces
 from sfsnet_dr.data.photo_set import PhotoSet
+from sfsnet_dr.data.view import View
 from sfsnet_dr.fit.trained import Trained
 from sfsnet_dr.fit.trainer import train
 from sfsnet_dr.metrics.image import mae_8bit, rmse_8bit
@@ -200,7 +201,7 @@ class Oracle(Network):
 
 
 def trained(answer: Decomposition) -> Trained:
-    return Trained(Oracle(answer), 32, "linear", {})
+    return Trained(Oracle(answer), View(32), "linear", {})
 
 
 def test_errors_are_those_of_the_answer(data: Path) -> None:
@@ -258,10 +259,10 @@ def test_display_referred_networks_see_photographs_as_their_files_have_them() ->
     answer.light[:, ::9] = (4 * torch.pi) ** 0.5  # shading 1
     model = Oracle(answer)
     model.register_forward_pre_hook(lambda _m, given: seen.append(given[0]))
-    numbers = on_photographs(Trained(model, 32, "display", {}), photographs)
+    numbers = on_photographs(Trained(model, View(32), "display", {}), photographs)
     torch.testing.assert_close(seen[0], images.float() / 255)
     np.testing.assert_allclose(numbers["recon.mae"], 0, atol=1e-3)
-    assert (on_photographs(Trained(model, 32, "linear", {}), photographs)["recon.mae"] > 10).all()
+    assert (on_photographs(Trained(model, View(32), "linear", {}), photographs)["recon.mae"] > 10).all()
 
 
 @pytest.mark.slow

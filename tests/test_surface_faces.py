@@ -29,6 +29,7 @@ from sfsnet_dr.data.surface_faces import (
     split_subjects,
 )
 from sfsnet_dr.data.surface_labels import SurfaceLabels, light_labels, write_index, write_surface
+from sfsnet_dr.data.view import View
 from sfsnet_dr.fit.recipe import ComputeRecipe, ModelRecipe, Recipe, read_recipe
 from sfsnet_dr.fit.step import training_step
 from sfsnet_dr.fit.trainer import train
@@ -145,7 +146,7 @@ def test_training_sees_no_picture_of_anybody_held_back(surfaces: Path) -> None:
     seen = set()
     for fold in range(2):
         options = SurfaceOptions(share=0.5, folds=2, fold=fold)
-        faces, split = load_learnt(surfaces, options, size=8)
+        faces, split = load_learnt(surfaces, options, View(8))
         batches = SurfaceFaces(faces, 4, options, seed=0)
         assert batches.pixels == (8, 8)
         names = {name.split(":")[0] for step in range(12) for name in batches.names(step)}
@@ -262,8 +263,8 @@ def test_bad_fine_tunings_are_told(surfaces: Path, spheres: Path, tmp_path: Path
         replace(RECIPE, real=RealOptions(share=0.25))
     with pytest.raises(BadInput, match="'display' found, 'linear' is needed"):
         replace(RECIPE, real=RealOptions(values="display"))
-    with pytest.raises(BadInput, match=r"16 pixels found, a multiple of data\.size 12"):
-        load_learnt(surfaces, RECIPE.surfaces, 12)
+    with pytest.raises(BadInput, match=r"16 x 16 pixels found, a square of 22 .*; see data\.size"):
+        load_learnt(surfaces, RECIPE.surfaces, View(16, 96))
     older = write_faces(tmp_path / "older", SUBJECTS[:2])
     index = json.loads((older / "surfaces.json").read_text()) | {"format": "sfsnet_dr.surfaces.0"}
     (older / "surfaces.json").write_text(json.dumps(index))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import torch
@@ -16,14 +17,16 @@ from sfsnet_dr.base import provenance
 from sfsnet_dr.base.atomic import output_dir
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.base.color import srgb_to_linear
-from sfsnet_dr.base.conventions import FACE_SIZE
 from sfsnet_dr.data.photograph import Eyes
 from sfsnet_dr.data.pseudo_labels import Values
+from sfsnet_dr.data.view import View
 from sfsnet_dr.fit.trained import load_trained
 from sfsnet_dr.metrics.image import mae_8bit
 from sfsnet_dr.model.shipped import weights_path
 from sfsnet_dr.render.shading_numpy import shading
 from sfsnet_dr.sh.coefficients import Shading
+
+_WHOLE: Final = View()
 
 
 def decompose(
@@ -57,7 +60,7 @@ def decompose(
     trained = load_trained(weights)
     read = [read_picture(path, eyes, mask) for path in images]
     folder = output_dir(out)
-    faces = take_apart(trained.model, read, size=trained.size, values=trained.values)
+    faces = take_apart(trained.model, read, view=trained.view, values=trained.values)
     metadata = {"sfsnet_dr:weights_sha256": provenance.sha256(weights_path(weights))}
     for face in faces:
         write_decomposed(folder, face, metadata)
@@ -65,20 +68,21 @@ def decompose(
 
 
 def take_apart(
-    model: nn.Module, read: Sequence[Picture], *, size: int = FACE_SIZE, values: Values = "linear"
+    model: nn.Module, read: Sequence[Picture], *, view: View = _WHOLE, values: Values = "linear"
 ) -> list[Decomposed]:
     """Run the network on pictures of the canonical frame; writes nothing.
 
     Args:
         model: the network.
         read: at least one picture, all of one size.
-        size: width and height that the network was trained at; see ``methods.ask``.
+        view: what it was shown of the frame in training; see ``methods.ask``. Masks end where it ends.
         values: what a photograph's numbers are to the network. Its albedo and shading explain those, and are
             kept as they are.
     """
     images = torch.from_numpy(np.stack([np.moveaxis(picture.image, -1, 0) for picture in read])).float()
     masks = torch.from_numpy(np.stack([picture.mask for picture in read])).float()[:, None]
-    found, gain = ask(model, images, masks, size, values)
+    found, gain = ask(model, images, masks, view, values)
+    covered = view.covered(images.shape[-1]).numpy()
     normal, albedo, light = (part.double().numpy() for part in found)
     shade = shading(normal, light)
     image = albedo * shade if values == "linear" else srgb_to_linear(albedo * shade) / gain.double().numpy()
@@ -87,7 +91,7 @@ def take_apart(
         Decomposed(
             name=picture.name,
             image=picture.image,
-            mask=picture.mask,
+            mask=np.asarray(picture.mask * covered, np.float32),
             normal=maps[0][index],
             albedo=maps[1][index],
             light=Shading.from_flat(light[index]),

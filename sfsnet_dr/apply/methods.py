@@ -8,13 +8,13 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.base.color_torch import linear_to_srgb, srgb_to_linear
 from sfsnet_dr.base.conventions import LIGHT_ORDER
 from sfsnet_dr.data.exposure import metering_gain
 from sfsnet_dr.data.pseudo_labels import Values
+from sfsnet_dr.data.view import View
 from sfsnet_dr.fit.trained import load_trained
 from sfsnet_dr.model.outputs import Decomposition
 from sfsnet_dr.model.predict import predict, predict_both_ways
@@ -90,7 +90,7 @@ class NetworkMethod:
     def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Answer:
         """See ``Method``."""
         trained = self.trained
-        found, gain = ask(trained.model, images, masks, trained.size, trained.values, once=self.once)
+        found, gain = ask(trained.model, images, masks, trained.view, trained.values, once=self.once)
         normal, albedo, light = found
         image = albedo * shading(normal, light)
         if trained.values == "display":
@@ -99,18 +99,19 @@ class NetworkMethod:
 
 
 def ask(
-    model: nn.Module, images: Tensor, masks: Tensor, size: int, values: Values, *, once: bool = False
+    model: nn.Module, images: Tensor, masks: Tensor, view: View, values: Values, *, once: bool = False
 ) -> tuple[Decomposition, Tensor]:
     """A network's answer at the resolution of the images, and the gains that it saw them with.
 
-    They are averaged to the network's size, its maps are interpolated. Images that are far darker or brighter
+    They are shown to it as ``view`` says, its maps are interpolated; outside the view the nearest answer
+    stands. Images that are far darker or brighter
     than photographs are metered for it (``data.exposure``).
 
     Args:
         model: the network.
-        images: linear, (B, 3, H, W); H = W is a multiple of ``size``.
+        images: linear, (B, 3, H, W), H = W.
         masks: (B, 1, H, W).
-        size: width and height of the images that it was trained on.
+        view: what it was shown of the frame in training.
         values: what an image's numbers are to it.
         once: do not ask it for the mirror images too and take the mean: half the time.
 
@@ -119,20 +120,17 @@ def ask(
         values, it is the encoded image times the gain. And the gains (B, 1, 1, 1).
 
     Raises:
-        BadInput: if the images are smaller than those that the network was trained on.
+        BadInput: if the images show the view with fewer pixels than the network was trained on.
     """
-    found = images.shape[-1]
-    if found < size or found % size:
-        raise BadInput(
-            f"images: {found} x {found} pixels found, a multiple of the {size} that the network was trained "
-            "on is needed"
-        )
     gain = metering_gain(images, masks)
-    small = functional.avg_pool2d(images * gain, found // size).clamp(0, 1)
+    try:
+        small = view.shown(images * gain).clamp(0, 1)
+    except BadInput as error:
+        raise BadInput(f"images: {error}, as the network was trained") from error
     answer = (predict if once else predict_both_ways)(
         model, linear_to_srgb(small) if values == "display" else small
     )
-    normal, albedo = (_grown(part, found) for part in (answer.normal, answer.albedo))
+    normal, albedo = (view.spread(part, images.shape[-1]) for part in (answer.normal, answer.albedo))
     light = answer.light / gain[:, :, 0, 0] if values == "linear" else answer.light
     return Decomposition(unit(normal), albedo, light), gain
 
@@ -206,9 +204,3 @@ def divided(normal: Tensor, light: Tensor, images: Tensor) -> Answer:
     floor = 0.05 * shade.clamp_min(0).mean((1, 2, 3), keepdim=True) + 1e-6
     albedo = images / shade.clamp_min(0).maximum(floor)
     return Answer(normal, albedo, light, albedo * shade, divided=True)
-
-
-def _grown(part: Tensor, size: int) -> Tensor:
-    if part.shape[-1] == size:
-        return part
-    return functional.interpolate(part, size=(size, size), mode="bilinear", align_corners=False)

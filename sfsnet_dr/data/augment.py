@@ -13,7 +13,10 @@ from torch.nn import functional
 
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.base.color import LUMINANCE
+from sfsnet_dr.base.config import added
+from sfsnet_dr.base.conventions import FACE_SIZE
 from sfsnet_dr.data.photo_effects import PhotoOptions
+from sfsnet_dr.data.view import View
 from sfsnet_dr.scene.light_spec import LightSpec
 
 Array = NDArray[np.float64]
@@ -27,7 +30,8 @@ class Augmentation:
     """How training images are made from bundles.
 
     Args:
-        size: width and height of the images, of which the bundles' must be a multiple; None keeps theirs.
+        size: width and height of the images; None keeps the bundles'.
+        crop: how much of the frame they show: a square in its middle, in canonical pixels (of 128).
         held_back: bundles that are not trained on, to measure with.
         flip: probability of a left-right reflection.
         lights: how many lights are drawn before the first step and then used again, each time turned, white-
@@ -40,6 +44,7 @@ class Augmentation:
     """
 
     size: int | None = None
+    crop: int = added(FACE_SIZE)
     held_back: int = 0
     flip: float = 0.5
     lights: int = 4096
@@ -50,11 +55,19 @@ class Augmentation:
         if not 0 <= self.flip <= 1:
             raise BadInput(f"flip: {self.flip} found, a probability from 0 to 1 is needed")
         limits = {"lights": (float(self.lights), 1.0, 1e6), "size": (float(self.size or 8), 8.0, 4096.0)}
+        limits["crop"] = (float(self.crop), 8.0, float(FACE_SIZE))
         limits["held_back"] = (float(self.held_back), 0.0, 1e6)
         limits |= {f"light.{key}": limit for key, limit in self.light.limits().items()}
         for key, (value, low, high) in limits.items():
             if not low <= value <= high:
                 raise BadInput(f"{key}: {value:g} found, {low:g} to {high:g} allowed")
+        if self.size is None and self.crop < FACE_SIZE:
+            raise BadInput(f"crop: {self.crop} found without size; say how many pixels are to show it")
+
+    @property
+    def view(self) -> View | None:
+        """What of a bundle the images show; None for all of it as it is."""
+        return None if self.size is None else View(self.size, self.crop)
 
 
 def backgrounds(

@@ -12,11 +12,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.nn import functional
 
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.base.color import LUMINANCE
-from sfsnet_dr.base.conventions import LIGHT_ORDER
+from sfsnet_dr.base.conventions import FACE_SIZE, LIGHT_ORDER
 from sfsnet_dr.data.augment import Augmentation, backgrounds
 from sfsnet_dr.data.batch import FaceBatch, dealt, in_turn
 from sfsnet_dr.data.bundle import Bundle, read_bundle
@@ -26,6 +25,7 @@ from sfsnet_dr.data.lighting import Lighting, light_faces
 from sfsnet_dr.data.manifest import NAME, Entry, Manifest
 from sfsnet_dr.data.photo_effects import PhotoEffects, frames, photograph, sample_effects
 from sfsnet_dr.data.relight import relight_batch
+from sfsnet_dr.data.view import View
 from sfsnet_dr.scene.lights import MAP_ORDER
 from sfsnet_dr.sh.basis import sh_basis
 from sfsnet_dr.sh.kernel import order_of
@@ -48,7 +48,7 @@ class Faces:
         lamps: directional responses, (N, D, 3, H, W).
         directions: toward these lights, (N, D, 3) float64, on the CPU.
         names: N file names.
-        fingerprint: of the bundles' hashes and the size; the same for the same data.
+        fingerprint: of the bundles' hashes and the view; the same for the same data.
     """
 
     normal: Tensor
@@ -75,12 +75,14 @@ class Faces:
 Folders = Path | str | Sequence[Path | str]
 
 
-def load_faces(folders: Folders, size: int | None = None, *, held_back: int = 0, held: bool = False) -> Faces:
+def load_faces(
+    folders: Folders, view: View | None = None, *, held_back: int = 0, held: bool = False
+) -> Faces:
     """Read every bundle that the folders' manifests list, folder by folder in the order of their seeds.
 
     Args:
         folders: what ``sfsnet-dr synth`` wrote, one folder or several.
-        size: width and height to average the bundles down to; None keeps theirs.
+        view: how much of the frame is shown, and with how many pixels; None keeps the bundles as they are.
         held_back: bundles that are kept for measuring: those with the lowest hashes of their bytes, so that
             it hardly depends on the others whether one is.
         held: read these instead of the rest.
@@ -88,7 +90,7 @@ def load_faces(folders: Folders, size: int | None = None, *, held_back: int = 0,
     Raises:
         BadInput: if there is no manifest, it is empty, half or more would be held back, or a bundle is
             missing, damaged, of another size or other responses than the first, of too low an order, has an
-            empty mask, or is no multiple of ``size`` wide.
+            empty mask, or has fewer pixels than the view.
     """
     listed = _listed(folders)
     ranks = sorted(entry.sha256 for _, entry in listed)
@@ -103,12 +105,12 @@ def load_faces(folders: Folders, size: int | None = None, *, held_back: int = 0,
     for number, (path, _) in enumerate(chosen):
         bundle = read_bundle(path)
         directions.append(bundle.directions)
-        for name, tensor in _tensors(path, bundle, size).items():
+        for name, tensor in _tensors(path, bundle, view).items():
             whole = planes.setdefault(name, tensor.new_empty(len(chosen), *tensor.shape))
             if tensor.shape != whole.shape[1:]:
                 raise BadInput(f"{path}: {_difference(tensor, whole[0])} expected as in {chosen[0][0].name}")
             whole[number] = tensor
-    digest = hashlib.sha256(f"{size}".join(entry.sha256 for _, entry in chosen).encode()).hexdigest()
+    digest = hashlib.sha256(_label(view).join(entry.sha256 for _, entry in chosen).encode()).hexdigest()
     several = len({path.parent for path, _ in chosen}) > 1
     names = (f"{path.parent.name}/{path.name}" if several else path.name for path, _ in chosen)
     return Faces(**planes, directions=np.stack(directions), names=tuple(names), fingerprint=digest)
@@ -125,13 +127,18 @@ def _listed(folders: Folders) -> list[tuple[Path, Entry]]:
     return listed
 
 
+def _label(view: View | None) -> str:
+    """A view in a fingerprint: the size alone where the whole frame is shown."""
+    return "None" if view is None else f"{view.size}" + (f" of {view.crop}" if view.crop < FACE_SIZE else "")
+
+
 def _difference(found: Tensor, expected: Tensor) -> str:
     if found.shape[-2:] != expected.shape[-2:]:
         return f"{tuple(found.shape[-2:])} pixels found, {tuple(expected.shape[-2:])}"
     return f"{len(found)} responses found, {len(expected)}"
 
 
-def _tensors(path: Path, bundle: Bundle, size: int | None) -> dict[str, Tensor]:
+def _tensors(path: Path, bundle: Bundle, view: View | None) -> dict[str, Tensor]:
     if order_of(len(bundle.transport)) < LIGHT_ORDER:
         raise BadInput(f"{path}: {len(bundle.transport)} transport coefficients found, 9 are needed")
     if not bundle.mask.any():
@@ -146,18 +153,12 @@ def _tensors(path: Path, bundle: Bundle, size: int | None) -> dict[str, Tensor]:
         "lamps": np.moveaxis(bundle.lamps, -1, 1),
     }
     tensors = {name: torch.from_numpy(np.ascontiguousarray(a)) for name, a in arrays.items()}
-    if size is not None:
-        tensors = {name: _smaller(path, tensor, size) for name, tensor in tensors.items()}
+    if view is not None:
+        try:
+            tensors = {name: view.shown(tensor) for name, tensor in tensors.items()}
+        except BadInput as error:
+            raise BadInput(f"{path}: {error}; see data.size and data.crop") from error
     return {name: tensor.half() for name, tensor in tensors.items()}
-
-
-def _smaller(path: Path, planes: Tensor, size: int) -> Tensor:
-    """Means over blocks: what a sensor with fewer pixels sees; normals are made unit vectors by ``batch``."""
-    height, width = planes.shape[-2:]
-    if height != width or height % size:
-        raise BadInput(f"{path}: {height} x {width} pixels found, a multiple of data.size {size} is needed")
-    flat = planes.reshape(-1, 1, height, width)
-    return functional.avg_pool2d(flat, height // size).reshape(*planes.shape[:-2], size, size)
 
 
 class RelitFaces:

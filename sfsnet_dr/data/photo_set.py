@@ -21,14 +21,15 @@ from torch import Tensor
 
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.base.color import linear_to_srgb
-from sfsnet_dr.base.conventions import FACE_SIZE
 from sfsnet_dr.base.imageio import read_image
 from sfsnet_dr.data.landmarks import COUNT, canonical_landmarks, eye_centres, skin_mask
 from sfsnet_dr.data.photograph import inside, to_canonical
+from sfsnet_dr.data.view import View
 
 Array = npt.NDArray[np.float64]
 
 PICTURES: Final = frozenset({".jpg", ".jpeg", ".png"})
+_WHOLE: Final = View()
 #: What may lie beside photographs without being one.
 _ASIDE: Final = frozenset({".npz", ".txt", ".md", ".toml"})
 
@@ -113,24 +114,25 @@ def hold_back(photos: Sequence[Photo], count: int, seed: int = 0) -> tuple[list[
 
 
 def load_photos(
-    photos: Sequence[Photo], size: int = FACE_SIZE, on_photo: Callable[[], object] | None = None
+    photos: Sequence[Photo], view: View = _WHOLE, on_photo: Callable[[], object] | None = None
 ) -> PhotoSet:
-    """Read photographs, bring each to the canonical frame and average it to ``size``, in linear light.
+    """Read photographs, bring each to the canonical frame and show it as ``view`` says, in linear light.
 
     Args:
         photos: of ``list_photos``.
-        size: width and height, a divisor of 128.
+        view: how much of the frame is shown, and with how many pixels.
         on_photo: called after each.
 
     Raises:
-        BadInput: for another size.
+        BadInput: for a view of more pixels than the frame has.
     """
-    if size < 8 or FACE_SIZE % size:
-        raise BadInput(f"size: {size} found, a divisor of {FACE_SIZE} from 8 on is needed")
+    if not 8 <= view.size <= view.crop:
+        raise BadInput(f"size: {view.size} found, 8 to {view.crop} is allowed")
+    size = view.size
     images, masks, names, hashes, skipped = [], [], [], [], []
     for photo in photos:
         try:
-            image, mask = _canonical(photo, size)
+            image, mask = _canonical(photo, view)
         except BadInput as error:
             skipped.append(Skipped(photo.name, str(error)))
         else:
@@ -149,21 +151,20 @@ def load_photos(
     )
 
 
-def _canonical(photo: Photo, size: int) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]]:
+def _canonical(photo: Photo, view: View) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]]:
     pixels = read_image(photo.path, channels=3).pixels
     eyes = eye_centres(photo.points)
-    image = _means(to_canonical(pixels, eyes), size)
-    mask = skin_mask(canonical_landmarks(photo.points), size)
-    mask = mask * _means(inside(pixels.shape[0], pixels.shape[1], eyes)[..., None], size)[..., 0]
+    image = _shown(np.moveaxis(to_canonical(pixels, eyes), -1, 0), view)
+    mask = _shown(skin_mask(canonical_landmarks(photo.points))[None], view)
+    mask = mask * _shown(inside(pixels.shape[0], pixels.shape[1], eyes)[None], view)
     if not mask.any():
         raise BadInput("no face in the frame: its landmarks lie outside the picture")
-    return _bytes(np.moveaxis(linear_to_srgb(image), -1, 0)), _bytes(mask[None])
+    return _bytes(linear_to_srgb(image)), _bytes(mask)
 
 
-def _means(image: npt.NDArray[np.float32], size: int) -> npt.NDArray[np.float32]:
-    block = FACE_SIZE // size
-    means: npt.NDArray[np.float32] = image.reshape(size, block, size, block, -1).mean((1, 3))
-    return means
+def _shown(planes: npt.NDArray[np.float32], view: View) -> npt.NDArray[np.float32]:
+    shown: npt.NDArray[np.float32] = view.shown(torch.from_numpy(planes.astype(np.float32))).numpy()
+    return shown
 
 
 def _bytes(values: npt.NDArray[np.floating]) -> npt.NDArray[np.uint8]:

@@ -16,12 +16,13 @@ from sfsnet_dr.data.augment import Augmentation
 from sfsnet_dr.data.dataset import Faces, RelitFaces
 from sfsnet_dr.data.light_bank import draw_bank
 from sfsnet_dr.data.photo_set import PhotoSet, hold_back, list_photos, load_photos
+from sfsnet_dr.data.view import View
 
 #: Lights that rendered photographs are taken under, and the seed that sets them apart from training's.
 _LIGHTS: Final = 256
 _SEED: Final = 7_000_001
 
-Load = Callable[[Sequence[str], int], PhotoSet]
+Load = Callable[[Sequence[str], View], PhotoSet]
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +33,7 @@ class PhotoSource:
         train: names of those to learn from.
         held: names of those kept for measuring.
         skipped: reasons by name, for those that cannot be used.
-        load: reads photographs, given names and a size.
+        load: reads photographs, given names and a view.
         rendered: whether they are no photographs but rendered faces that stand in for them.
         identity: what decides them beside their names.
     """
@@ -65,8 +66,8 @@ def photo_folder(folder: Path | str, *, held_back: int, most: int | None = None)
     train, held = hold_back(listed, held_back)
     known = {photo.name: photo for photo in listed}
 
-    def load(names: Sequence[str], size: int) -> PhotoSet:
-        return load_photos([known[name] for name in names], size)
+    def load(names: Sequence[str], view: View) -> PhotoSet:
+        return load_photos([known[name] for name in names], view)
 
     return PhotoSource(
         tuple(photo.name for photo in train[:most]),
@@ -93,10 +94,10 @@ def stand_ins(
         for kind, faces in (("train", train), ("held", held))
     }
 
-    def load(names: Sequence[str], size: int) -> PhotoSet:
-        found = train.normal.shape[-1]
-        if size != found:
-            raise BadInput(f"size: {size} found, the rendered photographs have {found}")
+    def load(names: Sequence[str], view: View) -> PhotoSet:
+        found = View(train.normal.shape[-1], augmentation.crop)
+        if view != found:
+            raise BadInput(f"{view} found, the rendered photographs are {found}")
         return _photographed([(parts[kind], int(number)) for kind, number in map(_split, names)], names)
 
     return PhotoSource(

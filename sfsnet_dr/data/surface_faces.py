@@ -27,6 +27,7 @@ from sfsnet_dr.data.exposure import metering_gain
 from sfsnet_dr.data.flip import flip_light, flip_map, flip_normal
 from sfsnet_dr.data.mixture import count_of
 from sfsnet_dr.data.surface_labels import SurfaceLabels, light_labels, load_surfaces, read_index
+from sfsnet_dr.data.view import View
 
 
 @dataclass(frozen=True)
@@ -122,16 +123,16 @@ def split_subjects(subjects: Iterable[str], options: SurfaceOptions, database: s
 
 
 def load_learnt(
-    folder: Path | str, options: SurfaceOptions, size: int | None = None
+    folder: Path | str, options: SurfaceOptions, view: View | None = None
 ) -> tuple[list[SurfaceLabels], IdentitySplit]:
-    """The captures to learn from, averaged down to ``size`` pixels, and who they and the others are.
+    """The captures to learn from, as a view shows them, and who they and the others are.
 
     Raises:
         BadInput: for unusable labels, see ``load_surfaces``, or subjects that cannot be split.
     """
     faces = load_surfaces(folder)
     split = split_subjects([face.subject for face in faces], options, read_index(folder)["database"])
-    return [_smaller(face, size) for face in faces if face.subject in split.learnt], split
+    return [_shown(face, view) for face in faces if face.subject in split.learnt], split
 
 
 class SurfaceFaces:
@@ -221,15 +222,15 @@ class SurfaceFaces:
         return FaceBatch(image, normal, albedo, light * gain[:, None], mask), confidence
 
 
-def _smaller(face: SurfaceLabels, size: int | None) -> SurfaceLabels:
-    found = face.normal.shape[-1]
-    if size is None or size == found:
+def _shown(face: SurfaceLabels, view: View | None) -> SurfaceLabels:
+    if view is None or view == View(face.normal.shape[-1]):
         return face
-    if found % size:
-        raise BadInput(f"surfaces: {found} pixels found, a multiple of data.size {size} is needed")
-    planes: dict[str, Any] = {
-        name: functional.avg_pool2d(getattr(face, name), found // size)
-        for name in ("image", "normal", "albedo", "mask", "confidence", "residual")
-    }
+    try:
+        planes: dict[str, Any] = {
+            name: view.shown(getattr(face, name))
+            for name in ("image", "normal", "albedo", "mask", "confidence", "residual")
+        }
+    except BadInput as error:
+        raise BadInput(f"surfaces: {error}; see data.size and data.crop") from error
     planes["normal"] = functional.normalize(planes["normal"], dim=0)
     return replace(face, **planes)

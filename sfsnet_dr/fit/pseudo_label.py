@@ -23,6 +23,7 @@ from torch.nn import functional
 
 from sfsnet_dr.base.atomic import output_dir
 from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.base.conventions import FACE_SIZE
 from sfsnet_dr.base.provenance import sha256
 from sfsnet_dr.data.flip import flip_map
 from sfsnet_dr.data.photo_set import PhotoSet
@@ -67,9 +68,11 @@ def pseudo_label(
     """
     train = photographs.train
     trained = load_trained(weights)
+    view = trained.view._replace(size=size or trained.view.size)
     spec: dict[str, Any] = {
         "weights": sha256(weights_path(weights)),
-        "size": size or trained.size,
+        "size": view.size,
+        **({"crop": view.crop} if view.crop < FACE_SIZE else {}),
         "values": values or trained.values,
         "photographs": photographs.fingerprint,
     }
@@ -77,7 +80,7 @@ def pseudo_label(
     shards = [train[begin : begin + SHARD] for begin in range(0, len(train), SHARD)]
     for number, shard in enumerate(shards):
         if not folder.has(number):
-            read = photographs.load(shard, spec["size"])
+            read = photographs.load(shard, view)
             reasons = {item.name: item.reason for item in read.skipped}
             folder.write(number, label(trained.model, read, spec["values"]), read.names, read.hashes, reasons)
         on_shard(len(shard))

@@ -10,6 +10,7 @@ from typing import Any
 import torch
 
 from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.base.conventions import FACE_SIZE
 from sfsnet_dr.data.mixture import RealFaces, RealSource
 from sfsnet_dr.data.pseudo_labels import load_pseudo_labels
 from sfsnet_dr.data.surface_faces import IdentitySplit, SurfaceFaces, load_learnt, read_split
@@ -51,11 +52,12 @@ def real_kind(
     )
     if labels is not None:
         found = load_pseudo_labels(labels)
+        _check_crop(labels, int(found.spec.get("crop", FACE_SIZE)), recipe.data.crop)
         return RealKind(
             photographs, lambda device: RealFaces(found.to(device), photographs, recipe.real, recipe.seed)
         )
     if surfaces is not None:
-        faces, split = load_learnt(surfaces, recipe.surfaces, recipe.data.size)
+        faces, split = load_learnt(surfaces, recipe.surfaces, recipe.data.view)
         _check_start(start, split)
         return RealKind(
             captures,
@@ -70,6 +72,15 @@ def _together(key: str, share: float, folder: Path | str | None, option: str) ->
         found = "no folder of labels" if folder is None else f"the labels of {folder}"
         raise BadInput(
             f"{key}: {share:g} in the recipe and {found} found; a share above 0 and {option} belong together"
+        )
+
+
+def _check_crop(labels: Path | str, found: int, wanted: int) -> None:
+    """Refuse labels of photographs that show more or less of the frame than the rendered faces do."""
+    if found != wanted:
+        raise BadInput(
+            f"{labels}: labels of {found} of the frame's {FACE_SIZE} pixels found, data.crop {wanted} is "
+            "needed; label the photographs with a network of that crop"
         )
 
 

@@ -9,6 +9,7 @@ from typing import Any
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.base.conventions import FACE_SIZE
 from sfsnet_dr.data.pseudo_labels import Values
+from sfsnet_dr.data.view import View
 from sfsnet_dr.model.network import Network
 from sfsnet_dr.model.weights import load_weights, read_metadata
 
@@ -19,14 +20,14 @@ class Trained:
 
     Attributes:
         model: in evaluation mode, on the CPU.
-        size: width and height of the images that it was trained on; it answers best at that size, and some
-            networks at no other.
+        view: what it was shown of the frame, and with how many pixels; it answers best for that, and some
+            networks at no other size.
         values: what a photograph's numbers are to it.
         metadata: everything that its file says.
     """
 
     model: Network
-    size: int
+    view: View
     values: Values
     metadata: dict[str, Any]
 
@@ -39,7 +40,11 @@ def load_trained(weights: Path | str) -> Trained:
     """
     metadata = read_metadata(weights)
     recipe = metadata.get("recipe", {})
-    size = int(recipe.get("data", {}).get("size") or FACE_SIZE)
-    if size < 1 or FACE_SIZE % size:
-        raise BadInput(f"{weights}: trained on {size} x {size} pixels, a divisor of {FACE_SIZE} is needed")
-    return Trained(load_weights(weights), size, recipe.get("real", {}).get("values", "linear"), metadata)
+    data = recipe.get("data", {})
+    view = View(int(data.get("size") or FACE_SIZE), int(data.get("crop") or FACE_SIZE))
+    if not 1 <= view.size <= view.crop <= FACE_SIZE:
+        raise BadInput(
+            f"{weights}: trained on {view.crop} of the frame's {FACE_SIZE} pixels shown with {view.size}, no "
+            "more pixels than are shown are needed"
+        )
+    return Trained(load_weights(weights), view, recipe.get("real", {}).get("values", "linear"), metadata)

@@ -61,7 +61,7 @@ def train(
     folder = output_dir(out)
     if not resume and (folder / CHECKPOINT).exists():
         raise BadInput(f"{folder}: holds a run already; go on with --resume or choose another folder")
-    faces = load_faces(data, recipe.data.size, held_back=recipe.data.held_back)
+    faces = load_faces(data, recipe.data.view, held_back=recipe.data.held_back)
     with join(recipe.compute.device) as team:
         batches = _batches(recipe, faces, real, folder, team, progress)
         run = Run(

@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.base.config import changed, load_toml
+from sfsnet_dr.base.conventions import FACE_SIZE
 from sfsnet_dr.data.mixture import RealOptions
 from sfsnet_dr.fit.recipe import Recipe, lit_by, read_recipe
 from sfsnet_dr.report.record import dotted
@@ -233,13 +234,14 @@ def _case(where: str, variant: Variant, recipe: Recipe, scene: SceneSpec, model_
 def _check_alike(where: str, own: Recipe, first: Recipe, scene: SceneSpec) -> None:
     """What must not differ for errors to be compared."""
     size = first.data.size
-    if size is None or scene.camera.size % size:
+    if size is None or scene.camera.size * first.data.crop < size * FACE_SIZE:
         raise BadInput(
-            f"{where}: camera.size {scene.camera.size} and data.size {size} found, a multiple is needed"
+            f"{where}: camera.size {scene.camera.size} and data.size {size} found, a larger camera is needed"
         )
     pairs = {
         "seed": (own.seed, first.seed),
         "data.size": (own.data.size, size),
+        "data.crop": (own.data.crop, first.data.crop),
         "data.held_back": (own.data.held_back, 0),
         "surfaces.share": (own.surfaces.share, 0),
     }

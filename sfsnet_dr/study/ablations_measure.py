@@ -151,7 +151,7 @@ def _losses(plan: Plan, name: str, seed: int) -> Array:
 def _held(plan: Plan) -> tuple[FaceBatch, list[int]]:
     """Pictures of the held-back faces, and which face each shows."""
     data = plan.base.recipe.data
-    pictures = held_pictures(load_faces(plan.held, data.size), data, plan.spec.pictures)
+    pictures = held_pictures(load_faces(plan.held, data.view), data, plan.spec.pictures)
     return pictures.batch(0), pictures.indices(0)
 
 

@@ -220,7 +220,7 @@ def _unseen(truth: Bundle) -> Picture:
 
 def _decompose(pictures: Sequence[Picture], weights: Path | str) -> list[Decomposed]:
     trained = load_trained(weights)
-    return take_apart(trained.model, pictures, size=trained.size, values=trained.values)
+    return take_apart(trained.model, pictures, view=trained.view, values=trained.values)
 
 
 def _records(

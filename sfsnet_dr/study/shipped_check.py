@@ -78,15 +78,15 @@ def measure_shipped(
     synthesize(folder, SceneSpec("faces", "anny"), FACES, seed=FIRST_SEED, resume=True, on_face=on_face)
     source = None if photographs is None else photo_folder(photographs, held_back=PHOTOGRAPHS)
     shown = {}
-    if source is not None:  # once for all networks of a size
-        shown = {size: source.load(source.held, size) for size in {each.size for each in networks.values()}}
+    if source is not None:  # once for all networks of a view
+        shown = {view: source.load(source.held, view) for view in {each.view for each in networks.values()}}
     records: list[Record] = []
     for name, trained in networks.items():
-        wanted = replace(Augmentation(), size=trained.size)
-        truth = held_batch(load_faces(folder, trained.size), wanted, PICTURES)
+        wanted = replace(Augmentation(), size=trained.view.size, crop=trained.view.crop)
+        truth = held_batch(load_faces(folder, trained.view), wanted, PICTURES)
         records += records_of(on_rendered(trained, truth), "synthetic", name, command)
         if source is not None:
-            records += records_of(on_photographs(trained, shown[trained.size]), "photographs", name, command)
+            records += records_of(on_photographs(trained, shown[trained.view]), "photographs", name, command)
     return records
 
 

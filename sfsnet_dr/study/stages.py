@@ -141,7 +141,7 @@ def read_plan(
     recipes = {name: lit_by(read_recipe(folder / f"{name}.toml"), environments) for name in NETWORKS}
     if surfaces is not None:
         recipes[FINE_TUNED] = lit_by(read_recipe(folder / f"{FINE_TUNED}.toml"), environments)
-        load_learnt(surfaces, recipes[FINE_TUNED].surfaces, recipes[FINE_TUNED].data.size)
+        load_learnt(surfaces, recipes[FINE_TUNED].surfaces, recipes[FINE_TUNED].data.view)
     _check_alike(folder, recipes)
     scene = SceneSpec("faces", "anny") if spec.scene is None else load_scene(path.parent / spec.scene)
     return Plan(spec, recipes, scene, Path(out), tuple(data), photographs, surfaces)
@@ -197,8 +197,8 @@ def photographs_of(plan: Plan) -> PhotoSource:
     spec, data = plan.spec, plan.first.data
     if plan.photographs is not None:
         return photo_folder(plan.photographs, held_back=spec.held_back, most=spec.photographs)
-    train_faces = load_faces(plan.faces, data.size, held_back=data.held_back)
-    held = load_faces(plan.faces, data.size, held_back=data.held_back, held=True)
+    train_faces = load_faces(plan.faces, data.view, held_back=data.held_back)
+    held = load_faces(plan.faces, data.view, held_back=data.held_back, held=True)
     most = spec.photographs or 4 * len(train_faces)
     return stand_ins(train_faces, held, data, held_back=spec.held_back, most=most)
 
@@ -208,6 +208,7 @@ def _check_alike(folder: Path, recipes: dict[str, Recipe]) -> None:
     for name, recipe in recipes.items():
         pairs = {
             "data.size": (recipe.data.size, first.data.size),
+            "data.crop": (recipe.data.crop, first.data.crop),
             "data.held_back": (recipe.data.held_back, first.data.held_back),
             "real.values": (recipe.real.values, first.real.values),
         }

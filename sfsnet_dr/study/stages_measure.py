@@ -14,6 +14,7 @@ from sfsnet_dr.data.dataset import load_faces
 from sfsnet_dr.data.photo_set import PhotoSet
 from sfsnet_dr.data.photo_source import PhotoSource
 from sfsnet_dr.data.pseudo_labels import MANIFEST
+from sfsnet_dr.data.view import View
 from sfsnet_dr.fit.history import read_history
 from sfsnet_dr.fit.run import HISTORY, WEIGHTS
 from sfsnet_dr.fit.trained import Trained, load_trained
@@ -58,9 +59,9 @@ def measure(plan: Plan, source: PhotoSource, command: str) -> Outcome:
     trained = {name: load_trained(plan.folder / name / WEIGHTS) for name in NETWORKS}
     histories = {name: read_history(plan.folder / name / HISTORY) for name in NETWORKS}
     data = plan.first.data
-    held = load_faces(plan.faces, data.size, held_back=data.held_back, held=True)
+    held = load_faces(plan.faces, data.view, held_back=data.held_back, held=True)
     truth = held_batch(held, data, plan.spec.pictures)
-    photographs = source.load(source.held, truth.image.shape[-1])
+    photographs = source.load(source.held, View(truth.image.shape[-1], data.crop))
     records: list[Record] = []
     errors = {}
     kind = PHOTOGRAPHS[source.rendered]

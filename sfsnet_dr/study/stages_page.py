@@ -23,6 +23,7 @@ from sfsnet_dr.apply.picture import Picture
 from sfsnet_dr.base.color_torch import srgb_to_linear
 from sfsnet_dr.data.photo_source import PhotoSource
 from sfsnet_dr.data.pseudo_labels import decoded, load_pseudo_labels
+from sfsnet_dr.data.view import View
 from sfsnet_dr.render.shading_torch import shading
 from sfsnet_dr.report.figures import loss_curve
 from sfsnet_dr.report.html import Block, Figure, KeyNumbers, Note, Section, Table, write_page
@@ -240,7 +241,7 @@ def _rows(outcome: Outcome, picture: Picture) -> list[tuple[str, Pixels]]:
     """A row of pictures for each network."""
     cells = []
     for name, network in outcome.trained.items():
-        [face] = take_apart(network.model, [picture], size=len(picture.image), values=network.values)
+        [face] = take_apart(network.model, [picture], view=View(len(picture.image)), values=network.values)
         shown = pictures(face)
         cells += [(name if part == "input" else shown[part][0], shown[part][1]) for part in _PARTS]
     return cells

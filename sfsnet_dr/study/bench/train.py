@@ -49,7 +49,7 @@ def bench_train(
 
 
 def _contenders(recipe: Recipe, data: Path, team: Team) -> dict[str, Callable[[], Any]]:
-    faces = load_faces(data, recipe.data.size).to(team.device)
+    faces = load_faces(data, recipe.data.view).to(team.device)
     bank = draw_bank(recipe.data.light, min(_LIGHTS, recipe.data.lights), recipe.seed)
     batches = RelitFaces(faces, recipe.batch_size, recipe.data, recipe.seed, bank)
     compute = ComputeRecipe(
