@@ -60,7 +60,9 @@ class PhotometricStereo:
 
     DIR is a folder of Extended Yale B or Photoface. Each capture with four lights or more is solved by a
     robust fit a pixel; the strengths of the lamps and what oblique light has too much are estimated from all
-    of them. OUT gets surfaces.json, one .safetensors a capture (data/surface_labels.py) and sheet.png.
+    of them. With --lamps-by nothing is read of where the lamps were: pictures of one capture under a dozen or
+    more of them, and a network's first guess, tell it (fit/self_calibration.py). OUT gets surfaces.json, one
+    .safetensors a capture (data/surface_labels.py) and sheet.png.
 
     Example: sfsnet-dr photometric-stereo CroppedYale --out out/yale-b
     """
@@ -68,6 +70,13 @@ class PhotometricStereo:
     folder: DatabaseFolder
     out: Out
     database: Annotated[Literal["yale-b", "photoface"], arg(help="Which database it is.")] = "yale-b"
+    lamps_by: Annotated[
+        str | None,
+        arg(
+            metavar="WEIGHTS",
+            help="Do not read where the lamps were but find it with this network's help.",
+        ),
+    ] = None
     check_faces: Annotated[
         int, arg(help="Rendered faces with known normals to check the method on first; 2 s each.")
     ] = 0
@@ -77,13 +86,20 @@ class PhotometricStereo:
         from sfsnet_dr.data.databases import open_database
         from sfsnet_dr.report.console import bar
         from sfsnet_dr.report.record import write_records
+        from sfsnet_dr.study.found_lamps import lamp_errors, with_found_lamps
         from sfsnet_dr.study.photometric import label_surfaces
-        from sfsnet_dr.study.photometric_records import label_records
+        from sfsnet_dr.study.photometric_records import label_records, lamp_records
 
-        listing = open_database(self.database, self.folder)
+        known = open_database(self.database, self.folder)
+        listing = known
+        if self.lamps_by is not None:
+            with bar("finding the lamps", len(known.captures())) as advance:
+                listing = with_found_lamps(known, self.lamps_by, advance)
         with bar("photometric stereo", len(listing.captures())) as advance:
             found = label_surfaces(listing, self.out, on_capture=advance)
         records = label_records(listing, found, command_line()) + self._checked()
+        if self.lamps_by is not None:
+            records += lamp_records(listing, lamp_errors(known, listing), command_line())
         write_records(self.out / "records.json", records)
         lines = [f"skipped: {name}: {reason}" for name, reason in list(found.skipped.items())[:_SHOWN]]
         return of_records(records, *lines, f"labels: {self.out}")

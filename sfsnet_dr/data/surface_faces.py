@@ -78,6 +78,8 @@ class IdentitySplit:
         folds, fold: see ``SurfaceOptions``.
         learnt: subjects trained on.
         held_back: subjects that training never sees.
+        lamps_by: the network that helped to find where the lamps were; empty where the database told it, and
+            the labels are its truth.
     """
 
     database: str
@@ -85,6 +87,7 @@ class IdentitySplit:
     fold: int
     learnt: tuple[str, ...]
     held_back: tuple[str, ...]
+    lamps_by: str = ""
 
     @property
     def metadata(self) -> dict[str, Any]:
@@ -98,7 +101,12 @@ def read_split(metadata: dict[str, Any]) -> IdentitySplit | None:
     if found is None:
         return None
     return IdentitySplit(
-        found["database"], found["folds"], found["fold"], tuple(found["learnt"]), tuple(found["held_back"])
+        found["database"],
+        found["folds"],
+        found["fold"],
+        tuple(found["learnt"]),
+        tuple(found["held_back"]),
+        found.get("lamps_by", ""),
     )
 
 
@@ -131,7 +139,9 @@ def load_learnt(
         BadInput: for unusable labels, see ``load_surfaces``, or subjects that cannot be split.
     """
     faces = load_surfaces(folder)
-    split = split_subjects([face.subject for face in faces], options, read_index(folder)["database"])
+    index = read_index(folder)
+    split = split_subjects([face.subject for face in faces], options, index["database"])
+    split = replace(split, lamps_by=index.get("lamps_by", ""))
     return [_shown(face, view) for face in faces if face.subject in split.learnt], split
 
 

@@ -1,7 +1,8 @@
 """Labels by photometric stereo: a folder of faces with normals, albedo and known lights.
 
 A folder holds ``surfaces.json`` and one ``CAPTURE.safetensors`` a capture. ``surfaces.json`` has ``format``,
-``database``, ``oblique`` and ``strength`` (the gains of ``fit.strobes``), ``captures`` (name -> subject and
+``database``, ``oblique`` and ``strength`` (the gains of ``fit.strobes``), ``lamps_by`` (the network that
+helped to find where the lamps were; empty where the database tells it), ``captures`` (name -> subject and
 SHA-256 of its file) and ``skipped`` (name -> reason). A capture's tensors, S = 128 pixels wide in the
 canonical frame, C = 1 for grey pictures and else 3:
 
@@ -100,12 +101,12 @@ def write_surface(folder: Path, labels: SurfaceLabels) -> str:
 def write_index(
     folder: Path,
     database: str,
-    gains: Mapping[str, Any],
+    lamps: Mapping[str, Any],
     captures: Mapping[str, Mapping[str, str]],
     skipped: Mapping[str, str],
 ) -> None:
     """Write ``surfaces.json``, which makes the folder readable; see this file's head."""
-    index = {"format": FORMAT, "database": database, **gains, "captures": captures, "skipped": skipped}
+    index = {"format": FORMAT, "database": database, **lamps, "captures": captures, "skipped": skipped}
     write_text(folder / INDEX, json.dumps(index, indent=1, sort_keys=True) + "\n")
 
 

@@ -120,8 +120,8 @@ def label_surfaces(
     if not result.labels:
         raise BadInput(f"{listing.folder}: no capture gave normals that are sure; are its lights right?")
     if folder is not None:
-        gain = {"oblique": strobes.oblique, "strength": dict(strobes.strength)}
-        write_index(folder, listing.database, gain, written, skipped)
+        told = {"oblique": strobes.oblique, "strength": dict(strobes.strength), "lamps_by": listing.lamps_by}
+        write_index(folder, listing.database, told, written, skipped)
         (folder / "sheet.png").write_bytes(surface_sheet(result.labels))
     return result
 

@@ -41,6 +41,19 @@ def label_records(listing: Listing, found: Labelled, command: str) -> list[Recor
     return records
 
 
+def lamp_records(listing: Listing, errors: Mapping[str, float], command: str) -> list[Record]:
+    """``stereo.<database>.lamps_found`` and ``lamps_found_deg``, the mean angle to where they are known."""
+    head, values = f"stereo.{dotted(listing.database)}", list(errors.values())
+    found = len({photo.light for photo in listing.photos if photo.direction is not None})
+    records = [measured(f"{head}.lamps_found", found, "1", command=command)]
+    if values:
+        mean = float(np.mean(values))
+        records.append(
+            measured(f"{head}.lamps_found_deg", mean, "degrees", command=command, interval=_ends(values))
+        )
+    return records
+
+
 def check_records(errors: Mapping[int, Array], command: str) -> list[Record]:
     """``stereo.rendered.lights<N>.mean_deg``: mean angle to the true normals, intervals over faces.
 
