@@ -41,9 +41,11 @@ from sfsnet_dr.model.weights import read_metadata, save_weights
 from sfsnet_dr.render.shading_torch import f_render
 from sfsnet_dr.study.evaluate.choose import Wanted, methods_for
 from sfsnet_dr.study.evaluate.collect import Amount, collect
+from sfsnet_dr.study.evaluate.measure import measure
 from sfsnet_dr.study.evaluate.run import evaluate
 from sfsnet_dr.study.evaluate.shots import Collection, Shot
-from sfsnet_dr.study.evaluate.unseen import told, unseen
+from sfsnet_dr.study.evaluate.summary import normal_statistics
+from sfsnet_dr.study.evaluate.unseen import strangers, told, unseen
 
 SUBJECTS = tuple(f"a{number}" for number in range(1, 7))
 SIZE = 16
@@ -199,11 +201,11 @@ def test_a_fine_tuning_is_resumed_to_the_bit_and_tells_its_split(
         train(other, spheres, tmp_path / "o", surfaces=surfaces, start=whole.weights, progress=False)
 
 
-def tuned(folder: Path, learnt: tuple[str, ...]) -> Path:
-    """Weights that say that they were fine-tuned on some subjects."""
+def tuned(folder: Path, learnt: tuple[str, ...], lamps_by: str = "") -> Path:
+    """Weights that say that they have learnt from some subjects."""
     torch.manual_seed(0)
     held = tuple(name for name in SUBJECTS if name not in learnt)
-    split = IdentitySplit("balls", 4, 1, learnt, held)
+    split = IdentitySplit("balls", 4, 1, learnt, held, lamps_by)
     path = folder / "ft.safetensors"
     save_weights(path, SfSNet(2, 2, 1), {"recipe": {"data": {"size": 32}}, "surfaces": split.metadata})
     return path
@@ -225,6 +227,30 @@ def test_nobody_learnt_from_is_left_for_a_fine_tuned_network(tmp_path: Path) -> 
     methods, _ = methods_for(shots, Wanted(("flat",), (tuned(tmp_path, SUBJECTS),)))
     with pytest.raises(BadInput, match="nobody is left to measure on"):
         unseen(methods, collection)
+
+
+def test_a_network_that_was_told_no_truth_is_measured_on_everybody(tmp_path: Path) -> None:
+    collection = collect("labels", [write_faces(tmp_path / "labels", size=128)], Amount())
+    path = tuned(tmp_path, SUBJECTS[:4], lamps_by="skipnet")
+    methods, _ = methods_for(collection.shots, Wanted(("flat",), (path,)))
+    assert [method.name for method in methods] == ["flat", "ft"]
+    assert unseen(methods, collection) is collection
+    [note] = told(methods, collection)
+    assert "from pictures of 4 of the 6 subjects without being told" in note
+    assert "ft-strangers: the same network on a5, a6" in note
+    found = measure(methods[1], collection.shots)
+    assert strangers(methods[0], found) is None
+    apart = strangers(methods[1], found)
+    assert apart is not None
+    assert apart.method == "ft-strangers"
+    assert {errors.shot.subject for errors in apart.images} == set(SUBJECTS[4:])
+    records = {record.what: record.value for record in evaluate(collection, methods, tmp_path / "out", "")}
+    pooled = normal_statistics(apart.images)["mean_deg"]
+    assert records["balls.ft_strangers.normals.mean_deg"] == pytest.approx(pooled)
+    assert records["balls.ft.normals.mean_deg"] != records["balls.ft_strangers.normals.mean_deg"]
+    assert "ft-strangers" in (tmp_path / "out" / "index.html").read_text()
+    methods, _ = methods_for(collection.shots, Wanted(("flat",), (tuned(tmp_path, SUBJECTS, "skipnet"),)))
+    assert strangers(methods[1], found) is None
 
 
 @pytest.mark.slow

@@ -28,7 +28,7 @@ from sfsnet_dr.data.photo_set import find_landmarks, read_landmarks
 from sfsnet_dr.report.record import dotted
 from sfsnet_dr.scene.face_modes import load_face_modes
 from sfsnet_dr.study.evaluate.shots import Shot
-from sfsnet_dr.study.evaluate.unseen import split_of
+from sfsnet_dr.study.evaluate.unseen import fine_tuned
 
 Array = npt.NDArray[np.float64]
 
@@ -93,7 +93,7 @@ def methods_for(
     for path in wanted.weights:
         name = dotted(path.parent.name if path.stem == "weights" else path.stem)
         network = NetworkMethod(name, path, once=wanted.once)
-        split = split_of(network)
+        split = fine_tuned(network)
         if split is not None:
             network.name = f"{name}-fold{split.fold}of{split.folds}"
         _add(methods, network, str(path))

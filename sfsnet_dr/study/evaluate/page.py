@@ -41,14 +41,15 @@ def write_pages(
     folder: Path,
     collection: Collection,
     methods: Sequence[Method],
+    names: Sequence[str],
     found: Sequence[Measured],
     records: Sequence[Record],
 ) -> None:
-    """Write ``index.html`` into a folder."""
-    names = [method.name for method in methods]
+    """Write ``index.html`` into a folder; ``names`` are the tables' rows."""
     networks = [method.name for method in methods if isinstance(method, NetworkMethod)]
     lead = leading(found, networks)
-    method, measured = methods[names.index(lead)], found[names.index(lead)]
+    place = [method.name for method in methods].index(lead)
+    method, measured = methods[place], found[place]
     sections = [
         Section(
             "In numbers",
@@ -68,7 +69,7 @@ def write_pages(
     write_page(
         folder / "index.html",
         f"Evaluation on {TITLES.get(collection.data, collection.data)}",
-        lead_text(collection, names),
+        lead_text(collection, [method.name for method in methods]),
         sections,
     )
 

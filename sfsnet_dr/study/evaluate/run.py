@@ -17,7 +17,7 @@ from sfsnet_dr.study.evaluate.page import write_pages
 from sfsnet_dr.study.evaluate.shots import Collection
 from sfsnet_dr.study.evaluate.summary import counts_of, records_of
 from sfsnet_dr.study.evaluate.tables import csv_text
-from sfsnet_dr.study.evaluate.unseen import unseen
+from sfsnet_dr.study.evaluate.unseen import strangers, unseen
 
 
 def evaluate(
@@ -35,9 +35,10 @@ def evaluate(
     folder = output_dir(out)
     records = counts_of(collection, command)
     theirs = {method.name: unseen([method], collection) for method in methods}
-    found = []
+    found, names = [], []
     with bar("measuring", sum(len(part.shots) for part in theirs.values())) as advance:
         for method in methods:
+            names.append(method.name)
 
             def on_batch(count: int) -> None:
                 for _ in range(count):
@@ -45,7 +46,11 @@ def evaluate(
 
             found.append(measure(method, theirs[method.name].shots, on_batch))
             records += records_of(theirs[method.name], found[-1], command)
+            apart = strangers(method, found[-1])
+            if apart is not None:
+                records += records_of(collection, apart, command)
+                names.append(apart.method)
     write_records(folder / "records.json", records)
-    write_text(folder / "table.csv", csv_text(collection.data, [method.name for method in methods], records))
-    write_pages(folder, collection, methods, found, records)
+    write_text(folder / "table.csv", csv_text(collection.data, names, records))
+    write_pages(folder, collection, methods, names, found, records)
     return records

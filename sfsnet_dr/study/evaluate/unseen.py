@@ -1,4 +1,9 @@
-"""Nobody is measured on whom a network was fine-tuned with their normals: what is left for each method."""
+"""Nobody is measured on whom a network was fine-tuned with their normals: what is left for each method.
+
+Networks that have learnt from pictures whose labels they helped to make themselves (``lamps_by`` of
+``IdentitySplit``) know no truth of anybody and are measured on everybody; what they do with those whose
+pictures they have never seen, the strangers, is told beside it.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +13,14 @@ from dataclasses import replace
 from sfsnet_dr.apply.methods import Method, NetworkMethod
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.data.surface_faces import IdentitySplit, read_split
+from sfsnet_dr.study.evaluate.measure import Measured
 from sfsnet_dr.study.evaluate.shots import Collection
 
 
-def split_of(method: Method) -> IdentitySplit | None:
-    """The identity split that a network was trained with, if any."""
-    return read_split(method.trained.metadata) if isinstance(method, NetworkMethod) else None
+def fine_tuned(method: Method) -> IdentitySplit | None:
+    """The identity split of a network that was trained with somebody's true normals."""
+    split = _split(method)
+    return None if split is None or split.lamps_by else split
 
 
 def unseen(methods: Sequence[Method], collection: Collection) -> Collection:
@@ -22,7 +29,7 @@ def unseen(methods: Sequence[Method], collection: Collection) -> Collection:
     Raises:
         BadInput: if nobody is left.
     """
-    splits = {method.name: split for method in methods if (split := split_of(method)) is not None}
+    splits = {method.name: split for method in methods if (split := fine_tuned(method)) is not None}
     learnt = {subject for split in splits.values() for subject in split.learnt}
     if not learnt.intersection(collection.subjects):
         return collection
@@ -35,15 +42,38 @@ def unseen(methods: Sequence[Method], collection: Collection) -> Collection:
     return replace(collection, shots=shots)
 
 
+def strangers(method: Method, found: Measured) -> Measured | None:
+    """What was measured on those whose pictures a network has not seen; None if it has seen all or none."""
+    split = _split(method)
+    if split is None or not split.lamps_by:
+        return None
+    images = [errors for errors in found.images if errors.shot.subject not in split.learnt]
+    if not 0 < len(images) < len(found.images):
+        return None
+    return replace(found, method=f"{found.method}-strangers", images=images)
+
+
 def told(methods: Sequence[Method], collection: Collection) -> list[str]:
-    """A sentence for each method that is measured on fewer subjects than the others."""
+    """A sentence for each method that has seen some of the subjects before."""
     notes = []
     for method in methods:
-        split, left = split_of(method), unseen([method], collection)
+        split, left = _split(method), unseen([method], collection)
         if split is not None and left is not collection:
             notes.append(
                 f"{method.name} was fine-tuned on other subjects of {split.database} (fold {split.fold} of "
                 f"{split.folds} held back) and is measured on {', '.join(left.subjects)} only: "
                 f"{len(left.shots)} of {len(collection.shots)} photographs."
             )
+        elif split is not None and (seen := set(split.learnt).intersection(collection.subjects)):
+            others = sorted(set(collection.subjects) - seen)
+            notes.append(
+                f"{method.name} has learnt from pictures of {len(seen)} of the {len(collection.subjects)} "
+                "subjects without being told their normals, albedo or lights (photometric stereo with lamps "
+                f"that were found with the help of {split.lamps_by})."
+                + (f" {method.name}-strangers: the same network on {', '.join(others)}." if others else "")
+            )
     return notes
+
+
+def _split(method: Method) -> IdentitySplit | None:
+    return read_split(method.trained.metadata) if isinstance(method, NetworkMethod) else None
