@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 import torch
@@ -19,14 +18,12 @@ from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.base.color import srgb_to_linear
 from sfsnet_dr.data.photograph import Eyes
 from sfsnet_dr.data.pseudo_labels import Values
-from sfsnet_dr.data.view import View
+from sfsnet_dr.data.view import WHOLE, View
 from sfsnet_dr.fit.trained import load_trained
 from sfsnet_dr.metrics.image import mae_8bit
 from sfsnet_dr.model.shipped import weights_path
 from sfsnet_dr.render.shading_numpy import shading
 from sfsnet_dr.sh.coefficients import Shading
-
-_WHOLE: Final = View()
 
 
 def decompose(
@@ -68,7 +65,7 @@ def decompose(
 
 
 def take_apart(
-    model: nn.Module, read: Sequence[Picture], *, view: View = _WHOLE, values: Values = "linear"
+    model: nn.Module, read: Sequence[Picture], *, view: View = WHOLE, values: Values = "linear"
 ) -> list[Decomposed]:
     """Run the network on pictures of the canonical frame; writes nothing.
 

@@ -104,8 +104,7 @@ def ask(
     """A network's answer at the resolution of the images, and the gains that it saw them with.
 
     They are shown to it as ``view`` says, its maps are interpolated; outside the view the nearest answer
-    stands. Images that are far darker or brighter
-    than photographs are metered for it (``data.exposure``).
+    stands. Images that are far darker or brighter than photographs are metered for it (``data.exposure``).
 
     Args:
         model: the network.

@@ -24,12 +24,11 @@ from sfsnet_dr.base.color import linear_to_srgb
 from sfsnet_dr.base.imageio import read_image
 from sfsnet_dr.data.landmarks import COUNT, canonical_landmarks, eye_centres, skin_mask
 from sfsnet_dr.data.photograph import inside, to_canonical
-from sfsnet_dr.data.view import View
+from sfsnet_dr.data.view import WHOLE, View
 
 Array = npt.NDArray[np.float64]
 
 PICTURES: Final = frozenset({".jpg", ".jpeg", ".png"})
-_WHOLE: Final = View()
 #: What may lie beside photographs without being one.
 _ASIDE: Final = frozenset({".npz", ".txt", ".md", ".toml"})
 
@@ -114,7 +113,7 @@ def hold_back(photos: Sequence[Photo], count: int, seed: int = 0) -> tuple[list[
 
 
 def load_photos(
-    photos: Sequence[Photo], view: View = _WHOLE, on_photo: Callable[[], object] | None = None
+    photos: Sequence[Photo], view: View = WHOLE, on_photo: Callable[[], object] | None = None
 ) -> PhotoSet:
     """Read photographs, bring each to the canonical frame and show it as ``view`` says, in linear light.
 

@@ -7,7 +7,7 @@ pixels for the same cost, and answers for what it was shown alone.
 from __future__ import annotations
 
 from functools import cache
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import torch
 from torch import Tensor
@@ -66,6 +66,10 @@ class View(NamedTuple):
     def _step(self, pixels: int) -> float:
         """Pixels of such a frame that are one of the view's."""
         return pixels * self.crop / FACE_SIZE / self.size
+
+
+#: All of the frame with all of its pixels.
+WHOLE: Final = View()
 
 
 def _both_axes(matrix: Tensor, planes: Tensor) -> Tensor:

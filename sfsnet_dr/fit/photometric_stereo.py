@@ -153,12 +153,12 @@ def _first_weights(values: Array, valid: Array) -> Array:
 
 def _least_squares(weights: Array, values: Array, lights: Array) -> Array:
     # The ridge keeps pixels without lights solvable; it is far below one light's weight.
-    matrix = _normal_matrix(weights, lights, 1e-6)
+    matrix = normal_matrix(weights, lights, 1e-6)
     return np.asarray(np.linalg.solve(matrix, ((weights * values) @ lights)[..., None])[..., 0])
 
 
-def _normal_matrix(weights: Array, lights: Array, ridge: float) -> Array:
-    """Sum of w l l^T over the lights, plus a ridge, of each pixel, (P, 3, 3)."""
+def normal_matrix(weights: Array, lights: Array, ridge: float) -> Array:
+    """Sum of w l l^T over the lights (N, 3), plus a ridge, for each row of weights (P, N): (P, 3, 3)."""
     products = (lights[:, :, None] * lights[:, None, :]).reshape(len(lights), 9)
     return np.asarray((weights @ products).reshape(-1, 3, 3) + ridge * np.eye(3))
 
@@ -189,7 +189,7 @@ def _solve(colours: Array, lights: Array, gains: Array) -> tuple[Array, ...]:
 
 def _standard_error(weights: Array, lights: Array, normal: Array, residual: Array) -> Array:
     """Root of the variance across the normal, degrees, at most 90."""
-    covariance = np.linalg.inv(_normal_matrix(weights, lights, 1e-4))
+    covariance = np.linalg.inv(normal_matrix(weights, lights, 1e-4))
     along = np.einsum("pi,pij,pj->p", normal, covariance, normal)
     across = np.maximum(np.trace(covariance, axis1=1, axis2=2) - along, 0)
     return np.asarray(np.degrees(np.minimum(residual * np.sqrt(across), np.pi / 2)))

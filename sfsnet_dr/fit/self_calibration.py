@@ -27,7 +27,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sfsnet_dr.base.checks import BadInput
-from sfsnet_dr.fit.photometric_stereo import GRAZING, SCALE, fit_pixels, is_valid
+from sfsnet_dr.fit.photometric_stereo import GRAZING, SCALE, fit_pixels, is_valid, normal_matrix
+from sfsnet_dr.metrics.normals import angles_deg
 
 Array = npt.NDArray[np.float64]
 
@@ -116,8 +117,9 @@ def _alone(guess: Guess) -> _Fit:
     lamps = guess.direction * (np.median(guess.values, axis=0) / np.maximum(facing, 1e-6))[:, None]
     fit = _Fit(guess, is_valid(guess.values), scaled, lamps)
     for _ in range(_OWN_TURNS):
-        matrix, right = _lamp_sums(fit)
-        fit = _with_lamps(fit, _solved(matrix, right))
+        for _ in range(_REWEIGHTED):
+            fit = replace(fit, lamps=_solved(*_lamp_sums(fit)))
+        fit = _with_lamps(fit, fit.lamps)
     turn = _rotation(_unit(fit.scaled), guess.normal)
     return replace(fit, scaled=fit.scaled @ turn.T, lamps=fit.lamps @ turn.T)
 
@@ -131,22 +133,16 @@ def _with_lamps(fit: _Fit, lamps: Array) -> _Fit:
     return replace(fit, scaled=scaled, lamps=lamps)
 
 
-def _lamp_sums(fit: _Fit, rounds: int = _REWEIGHTED) -> tuple[Array, Array]:
-    """Sums of w b b^T (N, 3, 3) and w I b (N, 3) over the pixels that a lamp explains, reweighted."""
-    lamps = fit.lamps
-    matrix, right = np.zeros((len(lamps), 3, 3)), np.zeros((len(lamps), 3))
-    for _ in range(rounds):
-        weights = _weights(fit, lamps)
-        matrix = np.einsum("pn,pi,pj->nij", weights, fit.scaled, fit.scaled, optimize=True)
-        right = (weights * fit.guess.values).T @ fit.scaled
-        lamps = _solved(matrix, right)
-    return matrix, right
+def _lamp_sums(fit: _Fit) -> tuple[Array, Array]:
+    """Sums of w b b^T (N, 3, 3) and w I b (N, 3) over the pixels that a lamp explains."""
+    weights = _weights(fit)
+    return normal_matrix(weights.T, fit.scaled, 0.0), (weights * fit.guess.values).T @ fit.scaled
 
 
-def _weights(fit: _Fit, lamps: Array) -> Array:
+def _weights(fit: _Fit) -> Array:
     """Cauchy's, of pixels that face a lamp, (P, N)."""
-    unit = np.linalg.norm(fit.scaled, axis=1)[:, None] * np.linalg.norm(lamps, axis=1) + 1e-9
-    model = fit.scaled @ lamps.T
+    unit = np.linalg.norm(fit.scaled, axis=1)[:, None] * np.linalg.norm(fit.lamps, axis=1) + 1e-9
+    model = fit.scaled @ fit.lamps.T
     ratio = (fit.guess.values - model) / (SCALE * unit)
     return np.asarray(fit.valid * (model > GRAZING * unit) / (1 + ratio * ratio))
 
@@ -184,7 +180,7 @@ def _shared_lamps(fits: Sequence[_Fit], places: Sequence[npt.NDArray[np.intp]], 
     """One set of lamps for all captures."""
     matrix, right = np.zeros((len(lamps), 3, 3)), np.zeros((len(lamps), 3))
     for fit, place in zip(fits, places, strict=True):
-        own_matrix, own_right = _lamp_sums(replace(fit, lamps=lamps[place]), rounds=1)
+        own_matrix, own_right = _lamp_sums(replace(fit, lamps=lamps[place]))
         matrix[place] += own_matrix
         right[place] += own_right
     return _solved(matrix, right)
@@ -202,7 +198,7 @@ def _named(names: Sequence[str], lamps: Array, seen: Array) -> Lamps:
     strength = np.linalg.norm(lamps, axis=1)
     share = strength / np.median(strength)
     directions = _unit(lamps)
-    away = np.degrees(np.arccos(np.clip((directions * seen).sum(1), -1, 1)))
+    away = angles_deg(directions, seen)
     found, lost = {}, {}
     for number, name in enumerate(names):
         if share[number] < _DARKEST:

@@ -7,7 +7,7 @@ any data; photographs that one has are measured too where a folder of them is gi
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -82,7 +82,7 @@ def measure_shipped(
         shown = {view: source.load(source.held, view) for view in {each.view for each in networks.values()}}
     records: list[Record] = []
     for name, trained in networks.items():
-        wanted = replace(Augmentation(), size=trained.view.size, crop=trained.view.crop)
+        wanted = Augmentation(size=trained.view.size, crop=trained.view.crop)
         truth = held_batch(load_faces(folder, trained.view), wanted, PICTURES)
         records += records_of(on_rendered(trained, truth), "synthetic", name, command)
         if source is not None:
