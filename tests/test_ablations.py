@@ -252,7 +252,7 @@ def test_training_is_the_same_whoever_computes_the_loss(tmp_path: Path) -> None:
 def test_the_command_renders_trains_and_measures_on_photographs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from test_surface_faces import write_faces
+    from captures import write_faces
 
     from sfsnet_dr.cli import main
 

@@ -18,6 +18,7 @@ from sfsnet_dr.data.batch import FaceBatch
 from sfsnet_dr.data.dataset import RelitFaces, load_faces
 from sfsnet_dr.data.mixture import MixedBatch, MixedFaces, RealFaces, RealOptions
 from sfsnet_dr.data.pseudo_labels import LabelFolder, PseudoFaces, Values, encoded, load_pseudo_labels
+from sfsnet_dr.data.real_batch import RealBatch
 from sfsnet_dr.fit.history import read_history
 from sfsnet_dr.fit.recipe import ComputeRecipe, ModelRecipe, Recipe
 from sfsnet_dr.fit.step import training_step
@@ -87,7 +88,7 @@ def test_flips_and_exposure_keep_labels_and_photographs_together(values: Values,
     options = RealOptions(flip=0.5, darker=2.0, values=values)
     real = RealFaces(faces, 4, options, seed=0)
     for step in range(3):
-        batch, _ = real.batch(step)
+        batch = real.batch(step).faces
         assert misfit(batch) < 0.006
         assert misfit(batch._replace(light=batch.light.roll(1, 0))) > 0.02  # the check would see a mistake
 
@@ -113,15 +114,15 @@ def test_batches_are_functions_of_the_step(labels: Path, spheres: Path) -> None:
 
 def same(a: MixedBatch, b: MixedBatch) -> bool:
     """Equal to the bit."""
-    pairs = [*zip(a.labelled, b.labelled, strict=True), *zip(a.real, b.real, strict=True)]
-    return all(torch.equal(x, y) for x, y in [*pairs, (a.confidence, b.confidence)])
+    pairs = [*zip(a.labelled, b.labelled, strict=True), *zip(a.real.faces, b.real.faces, strict=True)]
+    return all(torch.equal(x, y) for x, y in [*pairs, *zip(a.real[1:], b.real[1:], strict=True)])
 
 
 def guess(batch: MixedBatch) -> Decomposition:
     """An answer that is off by a tenth in everything."""
     parts: list[Tensor] = [
         torch.cat([x, y]) + 0.1
-        for x, y in zip(batch.labelled[1:4], batch.real[1:4], strict=True)
+        for x, y in zip(batch.labelled[1:4], batch.real.faces[1:4], strict=True)
     ]  # fmt: skip
     return Decomposition(*parts)
 
@@ -136,11 +137,13 @@ def test_the_loss_is_the_mean_over_faces_and_trusts_as_told(labels: Path, sphere
     only = Decomposition(*(part[:3] for part in guess(batch)))
     assert torch.equal(first.total, sfsnet_loss(only, batch.labelled, weights, "torch").total)
     # Errors of .1 everywhere, so the weighted means follow from the mean confidence alone.
-    trust = float((batch.real.mask * batch.confidence).sum() / batch.real.mask.sum())
+    mask = batch.real.faces.mask
+    trust = float((mask * batch.real.confidence).sum() / mask.sum())
     assert float(second.normal) == pytest.approx(0.1 * trust, rel=1e-4)
     assert float(second.albedo) == pytest.approx(0.1 * trust, rel=1e-4)
     assert float(second.light) == pytest.approx(0.01 * trust, rel=1e-4)
-    blind = batch._replace(confidence=torch.zeros_like(batch.confidence))
+    nothing = [torch.zeros_like(batch.real.confidence), batch.real.free_scale, torch.zeros(1)]
+    blind = batch._replace(real=RealBatch(batch.real.faces, *nothing))
     _, _, without = mixed_loss(guess(blind), blind, weights, real_weights, "torch")
     assert float(without.normal) == float(without.light) == 0
     assert torch.equal(without.recon, second.recon)

@@ -20,7 +20,7 @@ from sfsnet_dr.data.pseudo_labels import decoded, encoded, load_pseudo_labels
 from sfsnet_dr.data.view import View
 from sfsnet_dr.fit import pseudo_label as module
 from sfsnet_dr.fit.pseudo_label import confident_answer, pseudo_label
-from sfsnet_dr.fit.real_sources import real_kind
+from sfsnet_dr.fit.real_sources import real_part
 from sfsnet_dr.fit.recipe import Recipe
 from sfsnet_dr.model.outputs import Decomposition
 from sfsnet_dr.model.sfsnet import SfSNet
@@ -163,6 +163,6 @@ def test_labels_show_as_much_of_the_frame_as_their_network_saw(tmp_path: Path) -
     assert not torch.equal(found.labels.mask, source.load(found.names, View(16)).masks)
     recipe = Recipe(steps=1, batch_size=4, data=Augmentation(size=16), real=RealOptions(share=0.5))
     with pytest.raises(BadInput, match=r"labels of 96 of .* pixels found, data\.crop 128 is needed"):
-        real_kind(recipe, tmp_path / "out", None, None)
+        real_part(recipe, tmp_path / "out", None, None)
     middle = replace(recipe, data=replace(recipe.data, crop=96))
-    assert real_kind(middle, tmp_path / "out", None, None).count == 2
+    assert real_part(middle, tmp_path / "out", None, None).counts == (2,)

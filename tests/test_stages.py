@@ -269,7 +269,7 @@ def test_display_referred_networks_see_photographs_as_their_files_have_them() ->
 def test_the_optional_stage_fine_tunes_and_measures_on_held_back_subjects(
     data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from test_surface_faces import SUBJECTS, write_faces
+    from captures import SUBJECTS, write_faces
 
     path = write_set(tmp_path / "set")
     text = RECIPE.format(model=MODELS["sfsnet"][0], share=0) + "[surfaces]\nshare = 0.5\nfolds = 2\n"

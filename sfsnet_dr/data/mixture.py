@@ -1,6 +1,6 @@
 """Mini-batches of two kinds of faces: rendered ones with their truth, real ones with labels of some trust.
 
-The real ones are photographs with pseudo-labels, or faces whose normals photometric stereo found.
+The real ones are photographs with pseudo-labels, faces whose normals photometric stereo found, or both.
 
 Source: Sengupta et al., CVPR 2018, section 3 ("SfS-supervision"): every mini-batch mixes both, so that batch
 normalisation sees one distribution and no step forgets either.
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -21,6 +21,7 @@ from sfsnet_dr.data.batch import FaceBatch, dealt, in_turn
 from sfsnet_dr.data.dataset import RelitFaces
 from sfsnet_dr.data.flip import flip_light, flip_map, flip_normal
 from sfsnet_dr.data.pseudo_labels import Labels, PseudoFaces, Values, as_network_input, decoded
+from sfsnet_dr.data.real_batch import RealBatch, RealSource
 
 
 @dataclass(frozen=True)
@@ -66,47 +67,15 @@ def count_of(name: str, share: float, batch_size: int) -> int:
 
 
 class MixedBatch(NamedTuple):
-    """Labelled faces, then real ones whose labels are trusted as far as ``confidence`` (B, 1, H, W) says.
-
-    ``free_scale``: the real faces' albedo is known up to a factor for each image, and their light up to its
-    inverse.
-    """
+    """Labelled faces, then real ones."""
 
     labelled: FaceBatch
-    real: FaceBatch
-    confidence: Tensor
-    free_scale: bool = False
+    real: RealBatch
 
     @property
     def image(self) -> Tensor:
         """All images, the labelled ones first."""
-        return torch.cat([self.labelled.image, self.real.image])
-
-
-class RealSource(Protocol):
-    """Where real faces come from; batch k depends on a seed and k alone.
-
-    Attributes:
-        batch_size: images a batch.
-        free_scale: see ``MixedBatch``.
-    """
-
-    batch_size: int
-    free_scale: bool
-
-    @property
-    def fingerprint(self) -> str:
-        """Of the data."""
-
-    @property
-    def pixels(self) -> tuple[int, int]:
-        """Height and width of the images."""
-
-    def names(self, step: int) -> list[str]:
-        """Images of a batch."""
-
-    def batch(self, step: int, rank: int = 0, size: int = 1) -> tuple[FaceBatch, Tensor]:
-        """Batch number ``step``, or part ``rank`` of ``size``, and its labels' confidence (B, 1, H, W)."""
+        return torch.cat([self.labelled.image, self.real.faces.image])
 
 
 class RealFaces:
@@ -121,8 +90,6 @@ class RealFaces:
     Raises:
         BadInput: if the labels were made with another meaning of a photograph's numbers.
     """
-
-    free_scale = False
 
     def __init__(self, faces: PseudoFaces, batch_size: int, options: RealOptions, seed: int) -> None:
         found = faces.spec.get("values")
@@ -151,8 +118,8 @@ class RealFaces:
         """Photographs of a batch."""
         return [self.faces.names[index] for index in self.indices(step)]
 
-    def batch(self, step: int, rank: int = 0, size: int = 1) -> tuple[FaceBatch, Tensor]:
-        """Batch number ``step``, or part ``rank`` of ``size``, and its labels' confidence (B, 1, H, W)."""
+    def batch(self, step: int, rank: int = 0, size: int = 1) -> RealBatch:
+        """Batch number ``step``, or part ``rank`` of ``size``; light is trusted as the rest of a face is."""
         part = dealt(self.batch_size, rank, size)
         rng = np.random.default_rng([self.seed, 11, step])
         device, count = self.faces.labels.image.device, self.batch_size
@@ -168,7 +135,9 @@ class RealFaces:
         image, albedo, mask, confidence = (torch.where(turned, flip_map(planes), planes) for planes in maps)
         normal = torch.where(turned, flip_normal(shown.normal), shown.normal)
         light = torch.where(flips[:, None], flip_light(shown.light), shown.light) * gain[:, None]
-        return FaceBatch(image, normal, albedo, light, mask), confidence
+        faces = FaceBatch(image, normal, albedo, light, mask)
+        trust = (mask * confidence).sum((1, 2, 3)) / mask.sum((1, 2, 3)).clamp_min(1)
+        return RealBatch(faces, confidence, torch.zeros_like(trust, dtype=torch.bool), trust)
 
 
 class MixedFaces:
@@ -195,8 +164,7 @@ class MixedFaces:
 
     def batch(self, step: int, rank: int = 0, size: int = 1) -> MixedBatch:
         """Batch number ``step``, or part ``rank`` of ``size`` of both kinds."""
-        real = self.real.batch(step, rank, size)
-        return MixedBatch(self.labelled.batch(step, rank, size), *real, self.real.free_scale)
+        return MixedBatch(self.labelled.batch(step, rank, size), self.real.batch(step, rank, size))
 
     def names(self, step: int) -> list[str]:
         """The faces and photographs of a batch."""

@@ -5,7 +5,10 @@ part ``fold``. So nobody changes sides when subjects are added or left out, and 
 everybody is measured once by a network that never saw them.
 
 The albedo of such labels is known up to a factor for each capture (the lamps' absolute strength is not known)
-and grey where the pictures are: ``free_scale`` says so to the loss.
+and grey where the pictures are: ``free_scale`` says so to the loss. Light's labels are of the lamp,
+times the gain that brings its picture into the range of usual exposures. A lamp behind a face leaves it
+nearly black, its gain is hundreds, and in a sum of squares that one light would outweigh all others:
+``light_trust`` makes lights whose coefficients' mean square is above 1 count by their relative error.
 """
 
 from __future__ import annotations
@@ -18,7 +21,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
 from torch.nn import functional
 
 from sfsnet_dr.base.checks import BadInput
@@ -26,6 +28,7 @@ from sfsnet_dr.data.batch import FaceBatch, dealt, in_turn
 from sfsnet_dr.data.exposure import metering_gain
 from sfsnet_dr.data.flip import flip_light, flip_map, flip_normal
 from sfsnet_dr.data.mixture import count_of
+from sfsnet_dr.data.real_batch import RealBatch
 from sfsnet_dr.data.surface_labels import SurfaceLabels, light_labels, load_surfaces, read_index
 from sfsnet_dr.data.view import View
 
@@ -159,8 +162,6 @@ class SurfaceFaces:
         BadInput: if there is no capture, or they differ in size.
     """
 
-    free_scale = True
-
     def __init__(
         self,
         faces: Sequence[SurfaceLabels],
@@ -210,8 +211,8 @@ class SurfaceFaces:
         """Captures and lights of a batch."""
         return [self._names[index] for index in self.indices(step)]
 
-    def batch(self, step: int, rank: int = 0, size: int = 1) -> tuple[FaceBatch, Tensor]:
-        """Batch number ``step``, or part ``rank`` of ``size``, and its labels' confidence (B, 1, H, W)."""
+    def batch(self, step: int, rank: int = 0, size: int = 1) -> RealBatch:
+        """Batch number ``step``, or part ``rank`` of ``size``."""
         part, count = dealt(self.batch_size, rank, size), self.batch_size
         rng = np.random.default_rng([self.seed, 13, step])
         device = self._image.device
@@ -229,7 +230,9 @@ class SurfaceFaces:
         )
         normal = torch.where(turned, flip_normal(self._normal[owner]), self._normal[owner])
         light = torch.where(flips[:, None], flip_light(self._light[rows]), self._light[rows])
-        return FaceBatch(image, normal, albedo, light * gain[:, None], mask), confidence
+        faces = FaceBatch(image, normal, albedo, light * gain[:, None], mask)
+        trust = 1 / faces.light.square().mean(1).clamp_min(1)
+        return RealBatch(faces, confidence, torch.ones_like(flips), trust)
 
 
 def _shown(face: SurfaceLabels, view: View | None) -> SurfaceLabels:

@@ -27,7 +27,7 @@ def write_pictures(path: Path, model: nn.Module, batch: FaceBatch | MixedBatch, 
     Rendered faces come first, photographs with their pseudo-labels after them. The network answers as it
     would after training: with the running statistics of batch normalisation.
     """
-    kinds = [batch] if isinstance(batch, FaceBatch) else [batch.labelled, batch.real]
+    kinds = [batch] if isinstance(batch, FaceBatch) else [batch.labelled, batch.real.faces]
     rows = []
     for kind in kinds:
         kind = FaceBatch(*(part[:ROWS] for part in kind))

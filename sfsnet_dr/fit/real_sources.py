@@ -11,38 +11,42 @@ import torch
 
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.base.conventions import FACE_SIZE
-from sfsnet_dr.data.mixture import RealFaces, RealSource
+from sfsnet_dr.data.mixture import RealFaces
 from sfsnet_dr.data.pseudo_labels import load_pseudo_labels
+from sfsnet_dr.data.real_batch import RealSource, RealTogether
 from sfsnet_dr.data.surface_faces import IdentitySplit, SurfaceFaces, load_learnt, read_split
 from sfsnet_dr.fit.recipe import Recipe
 from sfsnet_dr.model.weights import read_metadata
 
 
 @dataclass(frozen=True)
-class RealKind:
-    """Real faces in mini-batches.
+class RealPart:
+    """What a recipe takes of real faces, ready to be opened.
 
     Attributes:
-        count: of each mini-batch.
-        open: their batches on a device; None where ``count`` is 0.
+        counts: images of each source in a mini-batch; empty where there is none.
+        sources: makes each source's batches on a device.
         metadata: what the weights should tell about them.
     """
 
-    count: int = 0
-    open: Callable[[torch.device], RealSource] | None = None
+    counts: tuple[int, ...] = ()
+    sources: tuple[Callable[[torch.device], RealSource], ...] = ()
     metadata: dict[str, Any] = field(default_factory=dict)
 
+    def open(self, device: torch.device) -> RealTogether:
+        """The batches of all sources on a device; there must be one."""
+        return RealTogether([source(device) for source in self.sources])
 
-def real_kind(
+
+def real_part(
     recipe: Recipe, labels: Path | str | None, surfaces: Path | str | None, start: Path | None
-) -> RealKind:
-    """Photographs with pseudo-labels, faces with labels by photometric stereo, or none.
+) -> RealPart:
+    """Photographs with pseudo-labels, faces with labels by photometric stereo, both or none.
 
     Raises:
         BadInput: if folders and the recipe's shares do not belong together, for unusable labels, or if
             ``start`` has learnt from somebody who is to be held back.
     """
-    photographs, captures = recipe.real.count(recipe.batch_size), recipe.surfaces.count(recipe.batch_size)
     _together("real.share", recipe.real.share, labels, "--labels DIR (see `sfsnet-dr pseudo-label`)")
     _together(
         "surfaces.share",
@@ -50,21 +54,22 @@ def real_kind(
         surfaces,
         "--surfaces DIR (see `sfsnet-dr photometric-stereo`)",
     )
+    counts: list[int] = []
+    sources: list[Callable[[torch.device], RealSource]] = []
+    metadata = {}
     if labels is not None:
-        found = load_pseudo_labels(labels)
+        found, photographs = load_pseudo_labels(labels), recipe.real.count(recipe.batch_size)
         _check_crop(labels, int(found.spec.get("crop", FACE_SIZE)), recipe.data.crop)
-        return RealKind(
-            photographs, lambda device: RealFaces(found.to(device), photographs, recipe.real, recipe.seed)
-        )
+        counts.append(photographs)
+        sources.append(lambda device: RealFaces(found.to(device), photographs, recipe.real, recipe.seed))
     if surfaces is not None:
         faces, split = load_learnt(surfaces, recipe.surfaces, recipe.data.view)
+        captures = recipe.surfaces.count(recipe.batch_size)
         _check_start(start, split)
-        return RealKind(
-            captures,
-            lambda device: SurfaceFaces(faces, captures, recipe.surfaces, recipe.seed, device),
-            {"surfaces": split.metadata},
-        )
-    return RealKind()
+        counts.append(captures)
+        sources.append(lambda device: SurfaceFaces(faces, captures, recipe.surfaces, recipe.seed, device))
+        metadata = {"surfaces": split.metadata}
+    return RealPart(tuple(counts), tuple(sources), metadata)
 
 
 def _together(key: str, share: float, folder: Path | str | None, option: str) -> None:

@@ -133,7 +133,7 @@ class Recipe:
         model, data, optimiser, compute: the network, how rendered faces vary, Adam, and how it is computed.
         loss: weights of the terms; ``real_loss`` those of real faces.
         real: how photographs take part.
-        surfaces: how faces with labels by photometric stereo take part, in place of photographs.
+        surfaces: how faces with labels by photometric stereo take part.
 
     Raises:
         BadInput: for a value out of its range.
@@ -158,9 +158,10 @@ class Recipe:
         _positive(self, "steps", "batch_size", "checkpoint_every")
         _not_negative(self, "seed", "most_skipped", "pictures_every")
         photographs, captures = self.real.count(self.batch_size), self.surfaces.count(self.batch_size)
-        if photographs and captures:
+        if photographs + captures >= self.batch_size:
             raise BadInput(
-                "real.share, surfaces.share: both above 0 found, one kind of real faces is allowed"
+                f"real.share, surfaces.share: {photographs} and {captures} of {self.batch_size} images "
+                "found, rendered faces are needed too"
             )
         if captures and self.real.values != "linear":
             raise BadInput(

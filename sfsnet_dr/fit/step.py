@@ -95,7 +95,7 @@ def batch_loss(
     if isinstance(batch, FaceBatch):
         terms = sfsnet_loss(prediction, batch, recipe.loss, backend, share=_share(batch, team))
         return terms.total, terms._asdict()
-    shares = [_share(part, team) for part in (batch.labelled, batch.real)]
+    shares = [_share(part, team) for part in (batch.labelled, batch.real.faces)]
     both = None if shares[0] is None or shares[1] is None else (shares[0], shares[1])
     total, terms, real = mixed_loss(prediction, batch, recipe.loss, recipe.real_loss, backend, both)
     return total, _named(total, terms, real)

@@ -17,7 +17,7 @@ from sfsnet_dr.data.batch import dealt
 from sfsnet_dr.data.dataset import Faces, Folders, RelitFaces, load_faces
 from sfsnet_dr.data.light_bank import LightBank, kept_bank
 from sfsnet_dr.data.mixture import MixedFaces
-from sfsnet_dr.fit.real_sources import RealKind, real_kind
+from sfsnet_dr.fit.real_sources import RealPart, real_part
 from sfsnet_dr.fit.recipe import Recipe
 from sfsnet_dr.fit.run import CHECKPOINT, LIGHTS, Run, TrainResult
 from sfsnet_dr.fit.signals import StopRequest
@@ -57,7 +57,7 @@ def train(
         WorkFailed: if too many steps were not finite, or SIGTERM came; the checkpoint is saved then.
         KeyboardInterrupt: on SIGINT, with the checkpoint saved.
     """
-    real = real_kind(recipe, labels, surfaces, start)
+    real = real_part(recipe, labels, surfaces, start)
     folder = output_dir(out)
     if not resume and (folder / CHECKPOINT).exists():
         raise BadInput(f"{folder}: holds a run already; go on with --resume or choose another folder")
@@ -80,17 +80,18 @@ def train(
 
 
 def _batches(
-    recipe: Recipe, faces: Faces, real: RealKind, folder: Path, team: Team, progress: bool
+    recipe: Recipe, faces: Faces, real: RealPart, folder: Path, team: Team, progress: bool
 ) -> RelitFaces | MixedFaces:
     """The batches of a recipe on a team's device; the leading process draws the lights for all."""
-    for images in (recipe.batch_size - real.count, real.count):
+    rendered = recipe.batch_size - sum(real.counts)
+    for images in (rendered, *real.counts):
         dealt(images, team.rank, team.size)
     if team.leads:
         bank = _bank(recipe, folder, progress)
     team.wait()
     bank = bank if team.leads else _bank(recipe, folder, progress=False)
-    relit = RelitFaces(faces.to(team.device), recipe.batch_size - real.count, recipe.data, recipe.seed, bank)
-    return relit if real.open is None else MixedFaces(relit, real.open(team.device))
+    relit = RelitFaces(faces.to(team.device), rendered, recipe.data, recipe.seed, bank)
+    return relit if not real.sources else MixedFaces(relit, real.open(team.device))
 
 
 def _bank(recipe: Recipe, folder: Path, progress: bool) -> LightBank:

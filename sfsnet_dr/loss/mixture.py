@@ -7,8 +7,9 @@ from torch import Tensor
 
 from sfsnet_dr.data.batch import FaceBatch
 from sfsnet_dr.data.mixture import MixedBatch
+from sfsnet_dr.data.real_batch import RealBatch
 from sfsnet_dr.loss.reconstruction import Backend
-from sfsnet_dr.loss.terms import LossTerms, LossWeights, Share, sfsnet_loss
+from sfsnet_dr.loss.terms import LossTerms, LossWeights, Share, Trust, sfsnet_loss
 from sfsnet_dr.model.outputs import Decomposition
 
 
@@ -34,27 +35,28 @@ def mixed_loss(
     Returns:
         Total, terms of the labelled faces, terms of the real ones.
     """
-    count, real = len(target.labelled.image), len(target.real.image)
+    count, real = len(target.labelled.image), len(target.real.faces.image)
     first = Decomposition(*(part[:count] for part in prediction))
     second = Decomposition(*(part[count:] for part in prediction))
     of_labelled, of_real = shares or (None, None)
     labelled_terms = sfsnet_loss(first, target.labelled, labelled_weights, backend, share=of_labelled)
-    labels = at_scale_of(second, target) if target.free_scale else target.real
-    real_terms = sfsnet_loss(second, labels, real_weights, backend, target.confidence, of_real)
+    trust = Trust(target.real.confidence, target.real.light_trust)
+    real_terms = sfsnet_loss(second, at_scale_of(second, target.real), real_weights, backend, trust, of_real)
     total = (count * labelled_terms.total + real * real_terms.total) / (count + real)
     return total, labelled_terms, real_terms
 
 
-def at_scale_of(prediction: Decomposition, target: MixedBatch) -> FaceBatch:
-    """The real faces' labels with the factor for each albedo that fits best, and its inverse for the light.
+def at_scale_of(prediction: Decomposition, target: RealBatch) -> FaceBatch:
+    """The labels; where scale is free, albedo has the factor that fits best, and light its inverse.
 
     Least squares over the mask, weighted by confidence; at most a factor of 16 either way. It is a constant
     to the gradient, so that no prediction is better for being darker.
     """
-    real = target.real
+    real = target.faces
     with torch.no_grad():
         weight = real.mask * target.confidence
         product = (weight * real.albedo * prediction.albedo.float()).sum((1, 2, 3))
         power = (weight * real.albedo.square()).sum((1, 2, 3)).clamp_min(1e-9)
-        factor = (product / power).clamp(1 / 16, 16)
+        fitted = (product / power).clamp(1 / 16, 16)
+        factor = torch.where(target.free_scale, fitted, torch.ones_like(fitted))
     return real._replace(albedo=real.albedo * factor[:, None, None, None], light=real.light / factor[:, None])

@@ -39,6 +39,19 @@ class Share(NamedTuple):
     images: float
 
 
+class Trust(NamedTuple):
+    """How far labels are trusted, 0 to 1.
+
+    Args:
+        pixels: of normals and albedo, (B, 1, H, W). It weights their errors but not the number that they are
+            divided by, so that faces with doubtful labels pull less.
+        light: of the light, (B,).
+    """
+
+    pixels: Tensor
+    light: Tensor
+
+
 class LossTerms(NamedTuple):
     """Scalar tensors: the weighted total, and the four terms before weighting."""
 
@@ -54,7 +67,7 @@ def sfsnet_loss(
     target: FaceBatch,
     weights: LossWeights | None = None,
     backend: Backend = "drjit",
-    confidence: Tensor | None = None,
+    trust: Trust | None = None,
     share: Share | None = None,
 ) -> LossTerms:
     """The paper's total loss, eq. 2, with its terms.
@@ -64,10 +77,7 @@ def sfsnet_loss(
         target: ground truth or pseudo-labels; constants, they get no gradient.
         weights: the paper's if none are given.
         backend: who computes the reconstruction term, see ``reconstruction_l1``.
-        confidence: (B, 1, H, W) in [0, 1], how far the labels are trusted; fully if not given. It weights the
-            errors of normals and albedo but not the number that they are divided by, so that faces with
-            doubtful labels pull less; light is weighted by the mean over its face. Reconstruction, which
-            needs no label, is not.
+        trust: in the labels; whole if not given. Reconstruction, which needs no label, is not weighted.
         share: what this is of a larger batch; the terms are then those parts that add up to the batch's.
 
     Raises:
@@ -82,9 +92,10 @@ def sfsnet_loss(
     recon = reconstruction_l1(
         *prediction, target.image, target.mask, backend=backend, expected_gradient=weights.recon
     )
-    normal = masked_l1(prediction.normal, target.normal, target.mask, confidence)
-    albedo = masked_l1(prediction.albedo, target.albedo, target.mask, confidence)
-    light = _light_l2(prediction.light, target, confidence)
+    pixels = None if trust is None else trust.pixels
+    normal = masked_l1(prediction.normal, target.normal, target.mask, pixels)
+    albedo = masked_l1(prediction.albedo, target.albedo, target.mask, pixels)
+    light = _light_l2(prediction.light, target.light, None if trust is None else trust.light)
     if share is not None:
         recon, normal, albedo = (share.pixels * term for term in (recon, normal, albedo))
         light = share.images * light
@@ -99,14 +110,13 @@ def masked_l1(predicted: Tensor, target: Tensor, mask: Tensor, confidence: Tenso
     return (weight * difference).sum() / (predicted.shape[1] * mask.detach().sum()).clamp_min(1)
 
 
-def _light_l2(predicted: Tensor, target: FaceBatch, confidence: Tensor | None) -> Tensor:
-    """Mean squared error of the coefficients, each face weighted by its mean confidence."""
-    squared = (_at_least_float32(predicted) - target.light.detach()).square()
-    if confidence is None:
+def _light_l2(predicted: Tensor, target: Tensor, trust: Tensor | None) -> Tensor:
+    """Mean squared error of the coefficients, each face weighted by its trust."""
+    squared = (_at_least_float32(predicted) - target.detach()).square()
+    if trust is None:
         return squared.mean()
-    check_shape("confidence", confidence, "B 1 H W", B=len(target.mask))
-    face = target.mask.sum((1, 2, 3)).clamp_min(1)
-    return (squared * ((target.mask * confidence).sum((1, 2, 3)) / face)[:, None]).mean()
+    check_shape("trust.light", trust, "B", B=len(predicted))
+    return (squared * trust[:, None]).mean()
 
 
 def _at_least_float32(tensor: Tensor) -> Tensor:
