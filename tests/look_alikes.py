@@ -18,16 +18,16 @@ ANGLES = [(a, e) for e in (-20, 0, 25) for a in (-50, -15, 15, 50)]
 
 
 def ball(height: int, width: int) -> Array:
-    """Normals (height, width, 3) of an ellipsoid that fills the picture."""
+    """Normals (height, width, 3) of a sphere that fills the picture."""
     y, x = np.mgrid[0:height, 0:width] + 0.5
-    x, y = (x / width * 2 - 1) * 0.7, -(y / height * 2 - 1) * 0.7
+    x, y = (2 * x - width) / max(width, height) * 0.7, -(2 * y - height) / max(width, height) * 0.7
     return np.asarray(np.stack([x, y, np.sqrt(np.maximum(1 - x * x - y * y, 0))], -1), np.float64)
 
 
 def lit(
     height: int, width: int, direction: tuple[float, float, float], albedo: float = 0.7
 ) -> npt.NDArray[np.uint8]:
-    """8-bit linear picture (height, width) of that ellipsoid under one light."""
+    """8-bit linear picture (height, width) of that sphere under one light."""
     shade = np.maximum(ball(height, width) @ np.array(direction), 0)
     return np.asarray(np.rint(255 * albedo * shade), np.uint8)
 
@@ -50,7 +50,7 @@ def write_yale_b(folder: Path, subjects: int = 2, suffix: str = ".pgm") -> Path:
 
 
 def crop_normals() -> Array:
-    """The ellipsoid's normals in the canonical frame, (128, 128, 3)."""
+    """The sphere's normals in the canonical frame, (128, 128, 3)."""
     from sfsnet_dr.data.photograph import resampled
 
     width, height = CROP_SIZE

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,11 +21,12 @@ from sfsnet_dr.data.listing import heading
 from sfsnet_dr.data.surface_faces import SurfaceOptions, load_learnt, read_split
 from sfsnet_dr.data.surface_labels import light_labels, load_surfaces, read_index
 from sfsnet_dr.data.yale_b import list_yale_b
-from sfsnet_dr.fit.self_calibration import Guess, find_lamps
+from sfsnet_dr.fit.self_calibration import Guess, Lamps, find_lamps
 from sfsnet_dr.metrics.normals import angles_deg
 from sfsnet_dr.model.sfsnet import SfSNet
 from sfsnet_dr.model.weights import save_weights
 from sfsnet_dr.study import found_lamps
+from sfsnet_dr.study.captures import read_captures
 from sfsnet_dr.study.found_lamps import lamp_errors, with_found_lamps
 
 Array = npt.NDArray[np.float64]
@@ -87,6 +89,29 @@ def test_pitch_that_differs_between_captures_cancels() -> None:
     assert several.mean() < 1.0  # .7 measured, what a right guess leaves
 
 
+def test_captures_are_turned_to_where_heads_usually_face() -> None:
+    """All networks' answers pitch one way; what heads look like on average tells."""
+    pitched_all = [guess(seed, 10.0) for seed in range(4)]
+    assert errors(pitched_all).mean() > 8
+    means = [0.8 * face(seed)[0] for seed in range(4)]
+    assert errors([replace(a, usual=b) for a, b in zip(pitched_all, means, strict=True)]).mean() < 1.0
+    half = np.arange(400)[:, None] < 200  # pixels of which nothing is known have no say
+    blind = [replace(a, usual=np.where(half, b, 0.0)) for a, b in zip(pitched_all, means, strict=True)]
+    assert errors(blind).mean() < 1.5
+    wrong = [replace(part, usual=pitched(face(seed)[0], 5.0)) for seed, part in enumerate(pitched_all)]
+    assert 4 < errors(wrong).mean() < 6
+
+
+def test_lamps_of_stretched_surfaces_explain_the_same_pictures() -> None:
+    normal, albedo = face(3)
+    lamps = Lamps(dict(zip(NAMES, LAMPS, strict=True)), {}, dict.fromkeys(NAMES, 2.0))
+    stretched = lamps.for_stretched(1.2)
+    for name, vector in zip(NAMES, LAMPS, strict=True):
+        before = 2.0 * (albedo * normal) @ vector
+        after = (albedo * normal * [1, 1.2, 1]) @ (stretched.strength[name] * stretched.direction[name])
+        np.testing.assert_allclose(after, before, rtol=0, atol=1e-12)
+
+
 def test_dark_skin_is_no_weak_lamp() -> None:
     several = errors([guess(seed, gain=gain) for seed, gain in enumerate((1.0, 0.4, 1.3))])
     assert several.max() < 1.6  # 1.1 measured
@@ -130,7 +155,7 @@ def oracle(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_database_is_told_where_its_lamps_were(tmp_path: Path, oracle: None) -> None:
     known = list_yale_b(write_yale_b(tmp_path / "yale", 2))
-    found = with_found_lamps(known, "skipnet")
+    found = with_found_lamps(read_captures(known), "skipnet").listing
     assert found.lamps_by == "skipnet"
     told = lamp_errors(known, found)
     assert len(told) == len(ANGLES)
@@ -164,7 +189,7 @@ def test_a_network_is_asked(tmp_path: Path) -> None:
     torch.manual_seed(0)
     save_weights(tmp_path / "w.safetensors", SfSNet(4, 4, 1), {"recipe": {"data": {"size": 32}}})
     known = list_yale_b(write_yale_b(tmp_path / "yale", 1))
-    found = with_found_lamps(known, tmp_path / "w.safetensors")
+    found = with_found_lamps(read_captures(known), tmp_path / "w.safetensors").listing
     assert found.lamps_by == "w"
     told = lamp_errors(known, found)
     assert not told or np.mean(list(told.values())) > 5

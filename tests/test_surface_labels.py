@@ -15,6 +15,7 @@ from sfsnet_dr.data.databases import open_database
 from sfsnet_dr.data.surface_labels import light_labels, load_surfaces, read_index
 from sfsnet_dr.metrics.normals import angles_deg
 from sfsnet_dr.sh.coefficients import Shading
+from sfsnet_dr.study.captures import read_captures
 from sfsnet_dr.study.photometric import label_surfaces
 
 
@@ -48,14 +49,16 @@ def test_a_command_makes_labels_that_are_right(tmp_path: Path, capsys: pytest.Ca
 
 
 def test_four_lights_are_enough(tmp_path: Path) -> None:
-    found = label_surfaces(open_database("photoface", write_photoface(tmp_path)))
+    found = label_surfaces(read_captures(open_database("photoface", write_photoface(tmp_path))))
     assert len(found.labels) == 1
     assert np.isnan(found.halves[0])
     assert found.strobes.oblique == 0
 
 
 def test_changed_or_missing_labels_are_refused(tmp_path: Path) -> None:
-    label_surfaces(open_database("photoface", write_photoface(tmp_path / "in")), tmp_path / "out")
+    label_surfaces(
+        read_captures(open_database("photoface", write_photoface(tmp_path / "in"))), tmp_path / "out"
+    )
     (face,) = load_surfaces(tmp_path / "out")
     path = next((tmp_path / "out").glob("*.safetensors"))
     path.write_bytes(path.read_bytes()[:-1] + b"x")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.commands.result import Json, Out, Result, command_line, of_records
 
 if TYPE_CHECKING:
@@ -77,6 +78,14 @@ class PhotometricStereo:
             help="Do not read where the lamps were but find it with this network's help.",
         ),
     ] = None
+    heads: Annotated[
+        tuple[Path, ...],
+        arg(
+            metavar="DIR...",
+            help="Folders of `sfsnet-dr synth`, with --lamps-by: how their heads face on average says which "
+            "way is straight ahead; left out, the network's mistakes about that stay in the lamps.",
+        ),
+    ] = ()
     check_faces: Annotated[
         int, arg(help="Rendered faces with known normals to check the method on first; 2 s each.")
     ] = 0
@@ -86,20 +95,25 @@ class PhotometricStereo:
         from sfsnet_dr.data.databases import open_database
         from sfsnet_dr.report.console import bar
         from sfsnet_dr.report.record import write_records
+        from sfsnet_dr.study.captures import read_captures
         from sfsnet_dr.study.found_lamps import lamp_errors, with_found_lamps
         from sfsnet_dr.study.photometric import label_surfaces
         from sfsnet_dr.study.photometric_records import label_records, lamp_records
 
+        if self.heads and self.lamps_by is None:
+            raise BadInput("--heads: given without --lamps-by; where the lamps were is read then")
         known = open_database(self.database, self.folder)
-        listing = known
+        with bar("reading photographs", len(known.captures())) as advance:
+            read = read_captures(known, advance)
         if self.lamps_by is not None:
-            with bar("finding the lamps", len(known.captures())) as advance:
-                listing = with_found_lamps(known, self.lamps_by, advance)
-        with bar("photometric stereo", len(listing.captures())) as advance:
-            found = label_surfaces(listing, self.out, on_capture=advance)
-        records = label_records(listing, found, command_line()) + self._checked()
+            with bar("finding the lamps", len(read.faces)) as advance:
+                read = with_found_lamps(read, self.lamps_by, self.heads, advance)
+        with bar("photometric stereo", len(read.faces)) as advance:
+            found = label_surfaces(read, self.out, on_capture=advance)
+        records = label_records(known, found, command_line()) + self._checked()
         if self.lamps_by is not None:
-            records += lamp_records(listing, lamp_errors(known, listing), command_line())
+            errors = lamp_errors(known, read.listing)
+            records += lamp_records(read.listing, errors, command_line())
         write_records(self.out / "records.json", records)
         lines = [f"skipped: {name}: {reason}" for name, reason in list(found.skipped.items())[:_SHOWN]]
         return of_records(records, *lines, f"labels: {self.out}")

@@ -92,14 +92,14 @@ def load_faces(
             missing, damaged, of another size or other responses than the first, of too low an order, has an
             empty mask, or has fewer pixels than the view.
     """
-    listed = _listed(folders)
-    ranks = sorted(entry.sha256 for _, entry in listed)
+    bundles = listed(folders)
+    ranks = sorted(entry.sha256 for _, entry in bundles)
     if not 0 <= held_back < max(1, len(ranks) / 2):
         raise BadInput(
             f"data.held_back: {held_back} of {len(ranks)} bundles found, less than half is allowed"
         )
     kept = set(ranks[:held_back])
-    chosen = [(path, entry) for path, entry in listed if (entry.sha256 in kept) == held]
+    chosen = [(path, entry) for path, entry in bundles if (entry.sha256 in kept) == held]
     planes: dict[str, Tensor] = {}
     directions = []
     for number, (path, _) in enumerate(chosen):
@@ -116,15 +116,19 @@ def load_faces(
     return Faces(**planes, directions=np.stack(directions), names=tuple(names), fingerprint=digest)
 
 
-def _listed(folders: Folders) -> list[tuple[Path, Entry]]:
-    """The bundles of all folders with their files."""
-    listed = []
+def listed(folders: Folders) -> list[tuple[Path, Entry]]:
+    """The bundles of all folders with their files, folder by folder in the order of their seeds.
+
+    Raises:
+        BadInput: if there is no manifest, or it is empty.
+    """
+    found = []
     for folder in [folders] if isinstance(folders, Path | str) else folders:
         entries = sorted(Manifest(folder).entries, key=lambda entry: (entry.seed, entry.file))
         if not entries:
             raise BadInput(f"{folder}: no bundles listed in {NAME}; render some with `sfsnet-dr synth`")
-        listed += [(Path(folder) / entry.file, entry) for entry in entries]
-    return listed
+        found += [(Path(folder) / entry.file, entry) for entry in entries]
+    return found
 
 
 def _label(view: View | None) -> str:

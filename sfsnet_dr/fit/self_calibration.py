@@ -9,9 +9,12 @@ lamps of a capture is off by some ten degrees, but smoothly, which a linear map 
    (``photometric_stereo.fit_pixels``), beginning with the network's mean normals;
 2. all captures share the lamps, which the same name means: their median over the captures, in which the
    captures' own maps A, mostly pitch, cancel;
-3. the same turns again with one set of lamps for all captures.
+3. the same turns again with one set of lamps for all captures;
+4. what a network gets wrong in everybody alike is still in the lamps, first of all how far people look up.
+   Where it is given what rendered heads have there on average, all is turned as one until the captures'
+   normals lie nearest to that: heads differ from each other, but are not all turned one way.
 
-No direction is read. What a network gets wrong in everybody alike stays in the lamps.
+No direction is read.
 
 Sources: the ambiguity, Hayakawa, JOSA A 1994, and Belhumeur, Kriegman and Yuille, IJCV 1999; robust weights
 as in ``fit.photometric_stereo``.
@@ -57,12 +60,15 @@ class Guess:
         lamps: their names, N; a name means the same lamp in every capture.
         normal: unit normals, (P, 3): the mean of the network's over the lamps.
         direction: toward the lamps as the network sees them, (N, 3).
+        usual: mean normals of heads that look straight ahead, at these pixels, (P, 3): shorter where heads
+            differ, 0 where they are not known; None to believe the network's directions.
     """
 
     values: Array
     lamps: tuple[str, ...]
     normal: Array
     direction: Array
+    usual: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -72,10 +78,21 @@ class Lamps:
     Attributes:
         direction: unit vectors by name.
         lost: names of lamps that cannot be found, with the reason.
+        strength: by name, in the unit of the pictures' albedo.
     """
 
     direction: Mapping[str, Array] = field(default_factory=dict)
     lost: Mapping[str, str] = field(default_factory=dict)
+    strength: Mapping[str, float] = field(default_factory=dict)
+
+    def for_stretched(self, ratio: float) -> Lamps:
+        """The lamps that explain the same pictures with n_y of all surfaces times ``ratio``."""
+        lamps = {
+            name: self.strength[name] * direction / np.array([1.0, ratio, 1.0])
+            for name, direction in self.direction.items()
+        }
+        strength = {name: float(np.linalg.norm(lamp)) for name, lamp in lamps.items()}
+        return replace(self, direction={name: _unit(lamp) for name, lamp in lamps.items()}, strength=strength)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +124,8 @@ def find_lamps(captures: Sequence[Guess]) -> Lamps:
     for _ in range(_SHARED_TURNS):
         shared = _shared_lamps(fits, places, shared)
         fits = [_with_lamps(fit, shared[place]) for fit, place in zip(fits, places, strict=True)]
-    return _named(names, shared, _seen(fits, places, len(names)))
+    turn = _straightened(fits)
+    return _named(names, shared @ turn.T, _seen(fits, places, len(names)) @ turn.T)
 
 
 def _alone(guess: Guess) -> _Fit:
@@ -186,6 +204,15 @@ def _shared_lamps(fits: Sequence[_Fit], places: Sequence[npt.NDArray[np.intp]], 
     return _solved(matrix, right)
 
 
+def _straightened(fits: Sequence[_Fit]) -> Array:
+    """The rotation that makes all captures together look where heads usually do, (3, 3)."""
+    known = [(_unit(fit.scaled), fit.guess.usual) for fit in fits if fit.guess.usual is not None]
+    if not known:
+        return np.eye(3)
+    found, usual = (np.concatenate(part) for part in zip(*known, strict=True))
+    return _rotation(found, usual)
+
+
 def _seen(fits: Sequence[_Fit], places: Sequence[npt.NDArray[np.intp]], count: int) -> Array:
     """Where the network saw the lamps, mean over the captures, (count, 3)."""
     total = np.zeros((count, 3))
@@ -211,7 +238,7 @@ def _named(names: Sequence[str], lamps: Array, seen: Array) -> Lamps:
             )
         else:
             found[name] = directions[number]
-    return Lamps(found, lost)
+    return Lamps(found, lost, {name: float(strength[names.index(name)]) for name in found})
 
 
 def _rotation(found: Array, wanted: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -12,13 +12,16 @@ import numpy.typing as npt
 import torch
 
 from sfsnet_dr.apply.methods import NetworkMethod
-from sfsnet_dr.base.checks import BadInput
-from sfsnet_dr.data.listing import FacePhoto, Listing, read_face
-from sfsnet_dr.data.photo_set import Skipped
-from sfsnet_dr.fit.self_calibration import Guess, find_lamps
+from sfsnet_dr.data.dataset import Folders
+from sfsnet_dr.data.listing import FacePhoto, Listing
+from sfsnet_dr.data.mean_normals import mean_normals
+from sfsnet_dr.fit.integrability import vertical_stretch
+from sfsnet_dr.fit.photometric_stereo import FEWEST, fit_pixels, is_valid
+from sfsnet_dr.fit.self_calibration import Guess, Lamps, find_lamps
 from sfsnet_dr.metrics.light_classes import light_direction
 from sfsnet_dr.metrics.normals import angles_deg
 from sfsnet_dr.model.shipped import weights_path
+from sfsnet_dr.study.captures import Capture, Captures
 
 Array = npt.NDArray[np.float64]
 
@@ -28,61 +31,56 @@ _BATCH: Final = 16
 
 
 def with_found_lamps(
-    listing: Listing, weights: Path | str, on_capture: Callable[[], object] = lambda: None
-) -> Listing:
+    read: Captures,
+    weights: Path | str,
+    heads: Folders = (),
+    on_capture: Callable[[], object] = lambda: None,
+) -> Captures:
     """The photographs with the directions that ``fit.self_calibration`` finds; none is read from the listing.
 
     Args:
-        listing: captures of 12 lamps or more. A lamp's name means the same lamp in every capture.
+        read: captures of 12 lamps or more. A lamp's name means the same lamp in every capture.
         weights: of the network that makes the first guess, a file or a shipped name.
+        heads: folders of rendered heads, which tell how people face on average; none to leave that to the
+            network.
         on_capture: called after each.
 
     Returns:
-        ``lamps_by`` names the weights. Photographs under lamps that cannot be found, or that have no name,
-        have no direction.
+        ``listing.lamps_by`` names the weights. Photographs under lamps that cannot be found, or that have no
+        name, have no direction.
 
     Raises:
-        BadInput: for unusable weights or photographs, or if no capture has as many lamps as are needed.
+        BadInput: for unusable weights or heads, or if no capture has as many lamps as are needed.
     """
     method = NetworkMethod(Path(weights_path(weights)).stem, weights)
-    guesses: list[Guess] = []
-    skipped: list[Skipped] = []
-    for photos in listing.captures().values():
-        named = [photo for photo in photos if photo.light]
-        guess = _guess(method, named, listing.linear, skipped)
-        if guess is not None:
-            guesses.append(guess)
+    usual = mean_normals(heads) if heads else None
+    guesses = []
+    for face in read.faces:
+        named = face.only([bool(lamp) for lamp in face.lamps])
+        if named.photos:
+            guesses.append(_guess(method, named, usual))
         on_capture()
     found = find_lamps(guesses)
-    lost = [
-        Skipped(photo.name, f"lamp {photo.light}: {found.lost[photo.light]}")
-        for photo in listing.photos
+    found = found.for_stretched(vertical_stretch([_normals(face, found) for face in read.faces]))
+
+    def placed(photo: FacePhoto) -> FacePhoto:
+        return replace(photo, direction=_direction(found.direction, photo.light))
+
+    photos = tuple(placed(photo) for photo in read.listing.photos)
+    faces = tuple(replace(face, photos=tuple(map(placed, face.photos))) for face in read.faces)
+    lost = {
+        photo.name: f"lamp {photo.light}: {found.lost[photo.light]}"
+        for photo in photos
         if photo.light in found.lost
-    ]
-    return replace(
-        listing,
-        photos=tuple(
-            replace(photo, direction=_direction(found.direction, photo.light)) for photo in listing.photos
-        ),
-        skipped=(*listing.skipped, *skipped, *lost),
-        lamps_by=method.name,
-    )
+    }
+    listing = replace(read.listing, photos=photos, lamps_by=method.name)
+    return Captures(listing, faces, read.skipped | lost)
 
 
-def _guess(
-    method: NetworkMethod, photos: Sequence[FacePhoto], linear: bool, skipped: list[Skipped]
-) -> Guess | None:
-    """What a network says of one capture; None where no picture of it can be read."""
-    faces = []
-    for photo in photos:
-        try:
-            faces.append((photo.light, read_face(photo, linear)))
-        except BadInput as error:
-            skipped.append(Skipped(photo.name, str(error)))
-    if not faces:
-        return None
-    images = torch.stack([torch.from_numpy(np.moveaxis(face.image, -1, 0)).float() for _, face in faces])
-    mask = torch.from_numpy(np.min([face.mask for _, face in faces], axis=0)).float()
+def _guess(method: NetworkMethod, capture: Capture, usual: torch.Tensor | None) -> Guess:
+    """What a network says of one capture."""
+    images = torch.from_numpy(np.moveaxis(capture.images, -1, 1)).float().expand(-1, 3, -1, -1)
+    mask = torch.from_numpy(capture.mask).float()
     normal, light = torch.zeros_like(images[0]), []
     for part in torch.split(images, _BATCH):
         answer = method(part, mask.expand(len(part), 1, -1, -1), [""] * len(part))
@@ -93,10 +91,25 @@ def _guess(
     mean = normal.flatten(1)[:, pixels].T.double().numpy()
     return Guess(
         values=images.mean(1).flatten(1)[:, pixels].T.double().numpy(),
-        lamps=tuple(lamp for lamp, _ in faces),
+        lamps=capture.lamps,
         normal=mean / np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-9),
         direction=light_direction(torch.cat(light).numpy()),
+        usual=None if usual is None else usual.flatten(1)[:, pixels].T.double().numpy(),
     )
+
+
+def _normals(capture: Capture, lamps: Lamps) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """Normals times albedo of a whole capture by lamps that were found, and where they are known."""
+    used = capture.only([lamp in lamps.direction for lamp in capture.lamps])
+    skin = used.mask > 0.5
+    values = used.images.mean(-1)[:, skin].T
+    strength = np.array([lamps.strength[lamp] for lamp in used.lamps])
+    directions = np.array([lamps.direction[lamp] for lamp in used.lamps])
+    normals = np.zeros((*skin.shape, 3))
+    known = len(used.photos) >= FEWEST
+    if known:
+        normals[skin], _ = fit_pixels(values / strength, is_valid(values), directions)
+    return normals, skin & known
 
 
 def _direction(found: Mapping[str, Array], lamp: str) -> tuple[float, float, float] | None:

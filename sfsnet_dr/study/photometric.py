@@ -14,11 +14,11 @@ import torch
 from sfsnet_dr.apply.display import on_white, show_albedo, show_linear, show_normals
 from sfsnet_dr.base.atomic import output_dir
 from sfsnet_dr.base.checks import BadInput
-from sfsnet_dr.data.listing import FacePhoto, Listing, read_face
 from sfsnet_dr.data.surface_labels import SurfaceLabels, write_index, write_surface
 from sfsnet_dr.fit.photometric_stereo import FEWEST, Surface, photometric_stereo, unit_directions
 from sfsnet_dr.fit.strobes import Shots, Strobes, estimate_strobes
 from sfsnet_dr.metrics.normals import angles_deg
+from sfsnet_dr.study.captures import Capture, Captures
 
 Array = npt.NDArray[np.float64]
 
@@ -26,26 +26,6 @@ Array = npt.NDArray[np.float64]
 LEAST_CONFIDENCE: Final = 0.5
 #: Pixels of a capture from which the lamps' strengths are estimated.
 _SAMPLED: Final = 350
-
-
-@dataclass(frozen=True, eq=False)
-class Loaded:
-    """A capture in the canonical frame: pictures (N, S, S, C) linear, mask (S, S), and their photographs."""
-
-    name: str
-    photos: tuple[FacePhoto, ...]
-    images: Array
-    mask: Array
-
-    @property
-    def directions(self) -> Array:
-        """Toward the lights, (N, 3)."""
-        return np.array([photo.direction for photo in self.photos])
-
-    @property
-    def lights(self) -> tuple[str, ...]:
-        """Names of the lights."""
-        return tuple(photo.light for photo in self.photos)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +51,7 @@ class Labelled:
 
 
 def label_surfaces(
-    listing: Listing,
+    read: Captures,
     out: Path | str | None = None,
     *,
     halves: bool = True,
@@ -80,7 +60,7 @@ def label_surfaces(
     """Photometric stereo of every capture with at least four known lights.
 
     Args:
-        listing: a database whose lights are known.
+        read: of a database whose lights are known.
         out: folder for the labels, made if missing; None writes nothing.
         halves: whether each capture is solved again from halves of its lights.
         on_capture: called after each.
@@ -88,13 +68,12 @@ def label_surfaces(
     Raises:
         BadInput: if no capture has four usable lights, or ``out`` cannot be written to.
     """
-    skipped = {item.name: item.reason for item in listing.skipped}
-    captures = []
-    for name, photos in listing.captures().items():
+    listing, skipped, captures = read.listing, dict(read.skipped), []
+    for face in read.faces:
         try:
-            captures.append(_load(name, photos, listing.linear, skipped))
+            captures.append(_usable(face))
         except BadInput as error:
-            skipped[name] = str(error)
+            skipped[face.name] = str(error)
     if not captures:
         first = next(iter(skipped.items()), ("it", "no lights known"))
         raise BadInput(f"{listing.folder}: no capture with {FEWEST} usable lights; {first[0]}: {first[1]}")
@@ -103,7 +82,7 @@ def label_surfaces(
     folder = None if out is None else output_dir(out)
     written = {}
     for capture in captures:
-        gains = strobes.gains(capture.lights, capture.directions)
+        gains = strobes.gains(capture.lamps, capture.directions)
         surface = photometric_stereo(capture.images, capture.directions, gains, capture.mask)
         sure = capture.mask * (surface.confidence >= LEAST_CONFIDENCE)
         if not (sure > 0.5).any():
@@ -145,35 +124,27 @@ def surface_sheet(labels: Sequence[SurfaceLabels], most: int = 12) -> bytes:
     return sheet(cells, columns=6)
 
 
-def _load(name: str, photos: Sequence[FacePhoto], linear: bool, skipped: dict[str, str]) -> Loaded:
-    used, images, masks = [], [], []
-    for photo in photos:
-        if photo.direction is None:
-            continue
-        try:
-            face = read_face(photo, linear)
-        except BadInput as error:
-            skipped[photo.name] = str(error)
-            continue
-        used.append(photo)
-        images.append(face.image[..., :1] if face.grey else face.image)
-        masks.append(face.mask)
-    if len(used) < FEWEST:
-        raise BadInput(f"{len(used)} usable lights, at least {FEWEST} are needed")
-    if len({image.shape for image in images}) > 1:
-        raise BadInput("grey and coloured pictures are mixed")
-    unit_directions(np.array([photo.direction for photo in used]), len(used))
-    return Loaded(name, tuple(used), np.array(images, np.float64), np.min(masks, axis=0).astype(np.float64))
+def _usable(capture: Capture) -> Capture:
+    """The photographs whose lamp is known.
+
+    Raises:
+        BadInput: with too few of them, or lamps in one plane.
+    """
+    known = capture.only([photo.direction is not None for photo in capture.photos])
+    if len(known.photos) < FEWEST:
+        raise BadInput(f"{len(known.photos)} usable lights, at least {FEWEST} are needed")
+    unit_directions(known.directions, len(known.photos))
+    return known
 
 
-def _shots(capture: Loaded) -> Shots:
+def _shots(capture: Capture) -> Shots:
     pixels = np.flatnonzero(capture.mask > 0.5)
     chosen = pixels[:: max(1, len(pixels) // _SAMPLED)]
     values = capture.images.mean(-1).reshape(len(capture.photos), -1)[:, chosen].T
-    return Shots(values, capture.directions, capture.lights)
+    return Shots(values, capture.directions, capture.lamps)
 
 
-def _halves(capture: Loaded, gains: Array, mask: Array) -> float:
+def _halves(capture: Capture, gains: Array, mask: Array) -> float:
     """Mean angle between the answers of every second light, in order of azimuth, and the others."""
     if len(capture.photos) < 2 * FEWEST:
         return float("nan")
@@ -189,14 +160,14 @@ def _halves(capture: Loaded, gains: Array, mask: Array) -> float:
     return float(angles_deg(first.normal, second.normal)[mask > 0.5].mean())
 
 
-def _labels(capture: Loaded, surface: Surface, mask: Array, gains: Array) -> SurfaceLabels:
+def _labels(capture: Capture, surface: Surface, mask: Array, gains: Array) -> SurfaceLabels:
     def tensor(values: Array) -> torch.Tensor:
         return torch.from_numpy(np.ascontiguousarray(values, np.float32))
 
     return SurfaceLabels(
         name=capture.name,
         subject=capture.photos[0].subject,
-        lights=capture.lights,
+        lights=capture.lamps,
         files=tuple(photo.name for photo in capture.photos),
         image=tensor(np.moveaxis(capture.images, -1, 1)),
         normal=tensor(np.moveaxis(surface.normal, -1, 0)),

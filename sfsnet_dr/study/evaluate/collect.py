@@ -12,6 +12,7 @@ from sfsnet_dr.data.databases import open_database, recognise
 from sfsnet_dr.data.listing import Listing
 from sfsnet_dr.data.surface_labels import load_surfaces, read_index
 from sfsnet_dr.report.console import bar
+from sfsnet_dr.study.captures import read_captures
 from sfsnet_dr.study.evaluate.labelled import FEW, labelled
 from sfsnet_dr.study.evaluate.photographs import lit, photographs
 from sfsnet_dr.study.evaluate.shots import Collection
@@ -86,8 +87,10 @@ def collect(kind: str, folders: Sequence[Path], amount: Amount) -> Collection:
     if kind == "lights":
         with bar("reading photographs", len(listing.photos)) as advance:
             return lit(listing, lights, advance)
-    with bar("photometric stereo", len(listing.captures())) as advance:
-        found = label_surfaces(listing, halves=False, on_capture=advance)
+    with bar("reading photographs", len(listing.captures())) as advance:
+        read = read_captures(listing, advance)
+    with bar("photometric stereo", len(read.faces)) as advance:
+        found = label_surfaces(read, halves=False, on_capture=advance)
     return labelled(kind, found.labels, found.skipped, lights, listing)
 
 

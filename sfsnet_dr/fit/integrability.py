@@ -1,0 +1,70 @@
+"""How much too flat or too steep normals are in the vertical, told by what surfaces can be.
+
+Normals of a surface z(x, y) are its slopes p = dz/dx and q = dz/dy, and dp/dy = dq/dx. Lamps that were found
+from pictures leave a linear map of the normals unknown, and most of such maps break this. One that matters is
+a stretch of one image axis against the other: heads turn about the vertical far more than they nod, so that a
+network knows the slopes across a face better than those down it.
+
+A stretch of both axes alike and one along the line of sight keep the rule; pitch breaks it too little to be
+measured (5 degrees change the sum below by 1 %).
+
+Source: the rule, Frankot and Chellappa, PAMI 1988; for unknown lamps, Yuille and Snow, CVPR 1997.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import binary_erosion
+from scipy.optimize import minimize_scalar
+
+Array = npt.NDArray[np.float64]
+
+#: Ratios that are tried; the search ends within ``_EXACT``.
+_RANGE: Final = (0.7, 1.4)
+_EXACT: Final = 0.002
+#: Least n_z of pixels whose slopes mean something.
+_STEEPEST: Final = 0.25
+#: A difference of so many typical second derivatives is an outlier: an edge of hair, a wrong normal.
+_SCALE: Final = 0.5
+#: Pixels of a face below which it says nothing.
+_FEWEST: Final = 100
+
+
+def vertical_stretch(faces: Sequence[tuple[Array, npt.NDArray[np.bool_]]]) -> float:
+    """The factor for n_y that makes normals those of surfaces, one for all faces; 1 if they cannot tell.
+
+    Args:
+        faces: normals of any length (H, W, 3), row 0 on top, x right, y up; and where they are known (H, W).
+    """
+    slopes = [_slopes(normal, mask) for normal, mask in faces]
+    known = [face for face in slopes if len(face[0]) >= _FEWEST]
+    if not known:
+        return 1.0
+    found = minimize_scalar(
+        lambda ratio: float(np.mean([_misfit(*face, ratio) for face in known])),
+        bounds=_RANGE, method="bounded", options={"xatol": _EXACT},
+    )  # fmt: skip
+    return float(found.x)
+
+
+def _slopes(normal: Array, mask: npt.NDArray[np.bool_]) -> tuple[Array, Array]:
+    """dp/dy and dq/dx at the pixels whose neighbours are known too, (P,) each."""
+    length = np.linalg.norm(normal, axis=-1)
+    known = mask & (normal[..., 2] > _STEEPEST * length) & (length > 0)
+    depth = np.where(known, normal[..., 2], 1.0)
+    p, q = (np.where(known, -normal[..., axis] / depth, 0.0) for axis in (0, 1))
+    down = (p[:-2, 1:-1] - p[2:, 1:-1]) / 2  # rows go down, y goes up
+    across = (q[1:-1, 2:] - q[1:-1, :-2]) / 2
+    inner = binary_erosion(known, iterations=2)[1:-1, 1:-1]
+    return down[inner], across[inner]
+
+
+def _misfit(down: Array, across: Array, ratio: float) -> float:
+    """Mean of Cauchy's loss of dp/dy - ratio dq/dx, in shares of their typical size."""
+    stretched = ratio * across
+    scale = _SCALE * np.median(np.abs(down) + np.abs(stretched)) + 1e-12
+    return float(np.log1p(((down - stretched) / scale) ** 2).mean())
