@@ -22,7 +22,7 @@ from sfsnet_dr.data.surface_faces import (
 )
 from sfsnet_dr.fit.real_sources import real_part
 from sfsnet_dr.fit.trainer import train
-from sfsnet_dr.loss.mixture import mixed_loss
+from sfsnet_dr.loss.mixture import light_trust, mixed_loss
 from sfsnet_dr.loss.terms import LossWeights
 from sfsnet_dr.model.outputs import Decomposition
 
@@ -44,7 +44,10 @@ def test_a_lamp_behind_a_face_does_not_outweigh_the_others() -> None:
     real = SurfaceFaces([dark], 4, options, seed=0).batch(0)
     strength = real.faces.light.square().mean(1)
     assert strength.max() > 1e4 * strength.min()
-    torch.testing.assert_close(real.light_trust, 1 / strength.clamp_min(1))
+    trust = light_trust(real.faces.light, real)
+    torch.testing.assert_close(trust, 1 / strength.clamp_min(1))
+    told = real._replace(free_scale=torch.zeros(4, dtype=torch.bool))
+    assert torch.equal(light_trust(real.faces.light, told), told.light_trust)
     answer = Decomposition(real.faces.normal, real.faces.albedo, 0.9 * real.faces.light)
     labelled = real.faces._replace(light=answer.light)
     both = Decomposition(*(torch.cat([part, part]) for part in answer))

@@ -5,10 +5,7 @@ part ``fold``. So nobody changes sides when subjects are added or left out, and 
 everybody is measured once by a network that never saw them.
 
 The albedo of such labels is known up to a factor for each capture (the lamps' absolute strength is not known)
-and grey where the pictures are: ``free_scale`` says so to the loss. Light's labels are of the lamp,
-times the gain that brings its picture into the range of usual exposures. A lamp behind a face leaves it
-nearly black, its gain is hundreds, and in a sum of squares that one light would outweigh all others:
-``light_trust`` makes lights whose coefficients' mean square is above 1 count by their relative error.
+and grey where the pictures are: ``free_scale`` says so to the loss.
 """
 
 from __future__ import annotations
@@ -231,8 +228,7 @@ class SurfaceFaces:
         normal = torch.where(turned, flip_normal(self._normal[owner]), self._normal[owner])
         light = torch.where(flips[:, None], flip_light(self._light[rows]), self._light[rows])
         faces = FaceBatch(image, normal, albedo, light * gain[:, None], mask)
-        trust = 1 / faces.light.square().mean(1).clamp_min(1)
-        return RealBatch(faces, confidence, torch.ones_like(flips), trust)
+        return RealBatch(faces, confidence, torch.ones_like(flips), torch.ones_like(gain))
 
 
 def _shown(face: SurfaceLabels, view: View | None) -> SurfaceLabels:

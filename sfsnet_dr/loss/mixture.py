@@ -40,8 +40,9 @@ def mixed_loss(
     second = Decomposition(*(part[count:] for part in prediction))
     of_labelled, of_real = shares or (None, None)
     labelled_terms = sfsnet_loss(first, target.labelled, labelled_weights, backend, share=of_labelled)
-    trust = Trust(target.real.confidence, target.real.light_trust)
-    real_terms = sfsnet_loss(second, at_scale_of(second, target.real), real_weights, backend, trust, of_real)
+    labels = at_scale_of(second, target.real)
+    trust = Trust(target.real.confidence, light_trust(labels.light, target.real))
+    real_terms = sfsnet_loss(second, labels, real_weights, backend, trust, of_real)
     total = (count * labelled_terms.total + real * real_terms.total) / (count + real)
     return total, labelled_terms, real_terms
 
@@ -60,3 +61,14 @@ def at_scale_of(prediction: Decomposition, target: RealBatch) -> FaceBatch:
         fitted = (product / power).clamp(1 / 16, 16)
         factor = torch.where(target.free_scale, fitted, torch.ones_like(fitted))
     return real._replace(albedo=real.albedo * factor[:, None, None, None], light=real.light / factor[:, None])
+
+
+def light_trust(light: Tensor, target: RealBatch) -> Tensor:
+    """How far lights (B, 27) are trusted, (B,); where scale is free, less if their mean square is above 1.
+
+    A lamp behind a face leaves its picture nearly black. What brings that into the range of usual exposures
+    multiplies the lamp by hundreds, and in a sum of squares that one light would outweigh all others: it
+    counts by its relative error.
+    """
+    relative = 1 / light.square().mean(1).clamp_min(1)
+    return target.light_trust * torch.where(target.free_scale, relative, torch.ones_like(relative))
