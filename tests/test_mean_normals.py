@@ -1,0 +1,42 @@
+"""How heads face on average, against spheres that all face one way."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+from spheres import write_spheres
+
+from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.cli import main
+from sfsnet_dr.data.bundle import read_bundle
+from sfsnet_dr.data.flip import flip_normal
+from sfsnet_dr.data.mean_normals import mean_normals
+from sfsnet_dr.data.view import View
+
+
+def test_the_mean_of_one_head_is_that_head_and_its_mirror_image(tmp_path: Path) -> None:
+    folder = write_spheres(tmp_path / "one", 1)
+    bundle = read_bundle(next(folder.glob("*.exr")))
+    found = mean_normals(folder)
+    assert found.shape == (3, 128, 128)
+    torch.testing.assert_close(flip_normal(found), found)
+    skin = torch.from_numpy(bundle.mask)[None].float()
+    shown = View(skin.shape[-1]).spread(torch.from_numpy(bundle.normal).movedim(-1, 0).float() * skin, 128)
+    inside = found.abs().sum(0) > 0
+    assert 0.1 < inside.float().mean() < 1
+    assert not inside[0, 0]
+    cover = View(skin.shape[-1]).spread(skin, 128)[0]
+    whole = torch.minimum(cover, cover.flip(-1)) > 0.999
+    expected = (shown + flip_normal(shown)) / 2
+    torch.testing.assert_close(found[:, whole], expected[:, whole], rtol=0, atol=1e-3)
+    both = mean_normals([folder, write_spheres(tmp_path / "more", 3)])
+    assert not torch.equal(both, found)
+
+
+def test_bad_heads_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(BadInput, match="no bundles"):
+        mean_normals(tmp_path)
+    assert main(["photometric-stereo", str(tmp_path), "--out", "o", "--heads", str(tmp_path)]) == 2
+    assert "--heads: given without --lamps-by" in capsys.readouterr().err
