@@ -19,6 +19,7 @@ from sfsnet_dr.data.augment import Augmentation
 from sfsnet_dr.data.batch import FaceBatch
 from sfsnet_dr.data.mixture import MixedBatch, RealOptions
 from sfsnet_dr.data.surface_faces import (
+    USUAL_ALBEDO,
     SurfaceFaces,
     SurfaceOptions,
     fold_of,
@@ -30,7 +31,7 @@ from sfsnet_dr.data.view import View
 from sfsnet_dr.fit.recipe import ComputeRecipe, ModelRecipe, Recipe, read_recipe
 from sfsnet_dr.fit.step import training_step
 from sfsnet_dr.fit.trainer import train
-from sfsnet_dr.loss.mixture import mixed_loss
+from sfsnet_dr.loss.mixture import LARGEST_FACTOR, at_scale_of, mixed_loss
 from sfsnet_dr.loss.terms import LossWeights
 from sfsnet_dr.model.outputs import Decomposition
 from sfsnet_dr.model.weights import read_metadata, save_weights
@@ -120,7 +121,7 @@ def test_training_sees_no_picture_of_anybody_held_back(surfaces: Path) -> None:
 def test_albedo_and_light_count_up_to_a_factor(surfaces: Path) -> None:
     real = SurfaceFaces([face("a2")], 4, SurfaceOptions(), seed=0).batch(0)
     batch = real.faces
-    true = Decomposition(batch.normal, 3 * batch.albedo, batch.light / 3)
+    true = Decomposition(batch.normal, 1.8 * batch.albedo, batch.light / 1.8)
     both = Decomposition(*(torch.cat([part, part]) for part in true))
     labelled = FaceBatch(batch.image, *true, batch.mask)
     weights = LossWeights()
@@ -131,6 +132,41 @@ def test_albedo_and_light_count_up_to_a_factor(surfaces: Path) -> None:
     told = free._replace(real=real._replace(free_scale=torch.zeros(4, dtype=torch.bool)))
     _, _, fixed = mixed_loss(both, told, weights, weights, "torch")
     assert float(fixed.albedo) > 0.1
+
+
+def test_the_median_capture_has_the_albedo_of_usual_skin() -> None:
+    """One factor for all captures, so that they keep what they differ by; light has its inverse."""
+    options = SurfaceOptions(flip=0.0, exposure=0.0)
+    labels = [face(name) for name in SUBJECTS[:3]]
+    dark = [replace(part, albedo=0.05 * part.albedo, gain=20 * part.gain) for part in labels]
+    means = []
+    for kind in (labels, dark):
+        first = SurfaceFaces(kind, 12, options, seed=0).batch(0).faces
+        drawn = f_render(first.normal, first.albedo, first.light)
+        assert float((drawn - first.image)[first.image < 0.999].abs().max()) < 2e-3
+        weight = first.mask / first.mask.sum((1, 2, 3), keepdim=True)
+        means.append((weight * first.albedo[:, :1]).sum((1, 2, 3)))
+    assert means[0].median() == pytest.approx(USUAL_ALBEDO, rel=1e-4)
+    torch.testing.assert_close(*means)
+    assert means[0].max() / means[0].min() > 1.01
+
+
+def test_a_smooth_answer_is_not_told_to_be_darker() -> None:
+    """It would be by a scale of least squares: detail that the answer lacks makes that one small."""
+    real = SurfaceFaces([face("a2")], 4, SurfaceOptions(), seed=0).batch(0)
+    weight = real.faces.mask * real.confidence
+    answer = Decomposition(real.faces.normal, torch.full_like(real.faces.albedo, 0.25), real.faces.light)
+    labels = at_scale_of(answer, real)
+    told, said = ((weight * part).sum((1, 2, 3)) for part in (labels.albedo, answer.albedo))
+    torch.testing.assert_close(told, said)
+    factor = labels.albedo[:, 0, 4, 4] / real.faces.albedo[:, 0, 4, 4]
+    torch.testing.assert_close(labels.light * factor[:, None], real.faces.light)
+    product, power = (
+        (weight * real.faces.albedo * part).sum((1, 2, 3)) for part in (answer.albedo, real.faces.albedo)
+    )
+    assert (product / power < 0.97 * factor).all()
+    sunk = at_scale_of(answer._replace(albedo=0.1 * real.faces.albedo), real)
+    torch.testing.assert_close(sunk.albedo, real.faces.albedo / LARGEST_FACTOR)
 
 
 def test_a_fine_tuning_is_resumed_to_the_bit_and_tells_its_split(
