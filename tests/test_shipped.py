@@ -13,9 +13,16 @@ from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.fit.trained import load_trained
 from sfsnet_dr.model.eight_bit import STEP, from_eight_bit, to_eight_bit
 from sfsnet_dr.model.sfsnet import SfSNet
-from sfsnet_dr.model.shipped import SHIPPED, weights_path
+from sfsnet_dr.model.shipped import BEST, SHIPPED, weights_path
 from sfsnet_dr.model.weights import load_weights, save_weights
 from sfsnet_dr.study.shipped_check import card_records, compare, measure_shipped
+
+
+def test_the_network_that_is_used_unasked_has_the_best_normals() -> None:
+    what = "synthetic.normals.mean_deg"
+    cards = {name: {record.what: record.value for record in card_records(name)} for name in SHIPPED}
+    errors = {name: card[f"{what}.{name}"] for name, card in cards.items()}
+    assert min(errors, key=errors.__getitem__) == BEST
 
 
 @pytest.mark.parametrize("scale", [1e-4, 1.0, 300.0])

@@ -10,6 +10,7 @@ from tyro.conf import Positional, arg
 
 from sfsnet_dr.commands.faces import Synth, render_faces
 from sfsnet_dr.commands.result import FaceFolders, Json, Out, Result, command_line, of_records
+from sfsnet_dr.model.shipped import BEST
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,7 @@ class Decompose:
     weights: Annotated[
         Path,
         arg(metavar="FILE", help="Weights that `sfsnet-dr train` wrote, or the name of a shipped network."),
-    ] = Path("sfsnet")
+    ] = Path(BEST)
     eyes: Annotated[
         str | None,
         arg(

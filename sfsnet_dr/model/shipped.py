@@ -10,6 +10,9 @@ from sfsnet_dr.base.checks import BadInput, nearest
 #: Names that stand for files of weights wherever such a file is asked for.
 SHIPPED: Final = ("sfsnet", "skipnet", "skipnet-plus")
 
+#: The one that is used where none is named: by their cards it has the best normals.
+BEST: Final = "skipnet"
+
 FOLDER: Final = Path(__file__).parents[1] / "weights"
 
 

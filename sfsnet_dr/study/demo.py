@@ -28,6 +28,7 @@ from sfsnet_dr.fit.run import TrainResult
 from sfsnet_dr.fit.trained import load_trained
 from sfsnet_dr.fit.trainer import train
 from sfsnet_dr.metrics.normals import NormalErrors, angular_error_deg
+from sfsnet_dr.model.shipped import BEST
 from sfsnet_dr.report.console import bar
 from sfsnet_dr.report.record import Record, measured, write_records
 from sfsnet_dr.scene.light_sets import light_set
@@ -41,8 +42,6 @@ from sfsnet_dr.study.verdict import Study
 FACES = 24
 #: Far from the seeds of the training faces.
 UNSEEN_SEED = 100_000
-#: The network that takes the photograph apart: the one trained here has seen minutes of training.
-SHIPPED = "sfsnet"
 #: Lights and tolerance of the validation in the demo; ``sfsnet-dr validate`` has more.
 LIGHTS, TOLERANCE = "natural,directional60", 0.05
 _COMMAND = "sfsnet-dr demo"
@@ -114,7 +113,7 @@ def run_demo(out: Path | str, root: Path | str = ".", *, console: Console | None
     )
     screen.rule("6/6  Decompose a photograph and an unseen face", align="left")
     truth = render_bundle(spec, UNSEEN_SEED)
-    photograph, synthetic = _decompose([astronaut(), _unseen(truth)], SHIPPED)
+    photograph, synthetic = _decompose([astronaut(), _unseen(truth)], BEST)
     for face in (photograph, synthetic):
         write_decomposed(folder, face, {})
     [own] = _decompose([_unseen(truth)], training.weights)

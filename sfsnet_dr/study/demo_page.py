@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from sfsnet_dr.apply.display import Pixels, on_white, png_bytes, show_linear, show_normals
 from sfsnet_dr.apply.outputs import pictures
 from sfsnet_dr.data.bundle import Bundle
+from sfsnet_dr.model.shipped import BEST
 from sfsnet_dr.report.figures import loss_curve
 from sfsnet_dr.report.html import Figure, Gallery, KeyNumbers, Note, Section, Table, write_page
 from sfsnet_dr.report.record import Record
@@ -58,8 +59,9 @@ def _summary(result: DemoResult) -> Section:
                 ]
             ),
             Note(
-                "Pictures are taken apart by the shipped SfSNet; its card, sfsnet_dr/weights/sfsnet.md, says "
-                "what it was trained on and where it fails. The network trained here has seen "
+                f"Pictures are taken apart by the shipped network {BEST}; its card, "
+                f"sfsnet_dr/weights/{BEST}.md, says what it was trained on and where it fails. The network "
+                "trained here has seen "
                 f"{images} steps on {len(result.bundles)} synthetic faces and no photograph: its normals of "
                 f"the unseen face are {result.own_errors.mean:.1f} degrees off. It shows that training works."
             ),
