@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from captures import SIZE, face, write_faces
-from spheres import write_spheres
+from captures import SIZE, face
 from test_mixture import write_labels
 from test_surface_faces import RECIPE
 
@@ -16,25 +15,12 @@ from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.data.mixture import MixedBatch, RealFaces, RealOptions
 from sfsnet_dr.data.pseudo_labels import load_pseudo_labels
 from sfsnet_dr.data.real_batch import RealTogether
-from sfsnet_dr.data.surface_faces import (
-    SurfaceFaces,
-    SurfaceOptions,
-)
+from sfsnet_dr.data.surface_faces import SurfaceFaces, SurfaceOptions
 from sfsnet_dr.fit.real_sources import real_part
 from sfsnet_dr.fit.trainer import train
 from sfsnet_dr.loss.mixture import light_trust, mixed_loss
 from sfsnet_dr.loss.terms import LossWeights
 from sfsnet_dr.model.outputs import Decomposition
-
-
-@pytest.fixture(scope="module")
-def surfaces(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_faces(tmp_path_factory.mktemp("labels") / "a")
-
-
-@pytest.fixture(scope="module")
-def spheres(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_spheres(tmp_path_factory.mktemp("faces"), 3)
 
 
 def test_a_lamp_behind_a_face_does_not_outweigh_the_others() -> None:

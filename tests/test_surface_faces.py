@@ -12,7 +12,6 @@ import torch
 from captures import SIZE, SUBJECTS, face, write_faces
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from spheres import write_spheres
 
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.data.augment import Augmentation
@@ -46,16 +45,6 @@ RECIPE = Recipe(
     surfaces=SurfaceOptions(share=0.5, folds=2),
     compute=ComputeRecipe(precision="float32", loss_backend="torch"),
 )
-
-
-@pytest.fixture(scope="module")
-def surfaces(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_faces(tmp_path_factory.mktemp("labels") / "a")
-
-
-@pytest.fixture(scope="module")
-def spheres(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_spheres(tmp_path_factory.mktemp("faces"), 3)
 
 
 def test_flips_and_exposure_keep_labels_and_pictures_together() -> None:

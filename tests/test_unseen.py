@@ -12,9 +12,7 @@ from captures import SUBJECTS, write_faces
 
 from sfsnet_dr.apply.methods import NetworkMethod
 from sfsnet_dr.base.checks import BadInput
-from sfsnet_dr.data.surface_faces import (
-    IdentitySplit,
-)
+from sfsnet_dr.data.surface_faces import IdentitySplit
 from sfsnet_dr.model.sfsnet import SfSNet
 from sfsnet_dr.model.weights import save_weights
 from sfsnet_dr.study.evaluate.choose import Wanted, methods_for

@@ -57,8 +57,8 @@ def at_scale_of(prediction: Decomposition, target: RealBatch) -> FaceBatch:
 
     The mean is over the mask, weighted by confidence; the factor is at most 2 either way, for labels have the
     scale of usual skin already. It is a constant to the gradient, so that no prediction is better for being
-    darker. A least-squares one would be: errors make it too small, and albedo sank to a third within 1,700
-    steps.
+    darker. A least-squares one is too small where the prediction lacks detail, and let albedo sink to a third
+    within 1,700 steps.
     """
     real = target.faces
     with torch.no_grad():

@@ -93,6 +93,8 @@ def sfsnet_loss(
         *prediction, target.image, target.mask, backend=backend, expected_gradient=weights.recon
     )
     pixels = None if trust is None else trust.pixels
+    if pixels is not None:
+        check_shape("trust.pixels", pixels, "B 1 H W", B=batch, H=height, W=width)
     normal = masked_l1(prediction.normal, target.normal, target.mask, pixels)
     albedo = masked_l1(prediction.albedo, target.albedo, target.mask, pixels)
     light = _light_l2(prediction.light, target.light, None if trust is None else trust.light)
