@@ -9,7 +9,7 @@ import torch
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.data.batch import FaceBatch
 from sfsnet_dr.loss.reconstruction import Backend
-from sfsnet_dr.loss.terms import LossTerms, LossWeights, masked_l1, sfsnet_loss
+from sfsnet_dr.loss.terms import LossTerms, LossWeights, Trust, masked_l1, sfsnet_loss
 from sfsnet_dr.model.outputs import Decomposition
 from sfsnet_dr.render.shading_numpy import f_render
 
@@ -112,3 +112,8 @@ def test_bad_shapes_are_named() -> None:
         sfsnet_loss(prediction._replace(normal=prediction.normal[:1]), target)
     with pytest.raises(BadInput, match="mask: shape"):
         sfsnet_loss(prediction, target._replace(mask=target.mask[:, 0]))
+    trust = Trust(target.mask, torch.ones(2))
+    with pytest.raises(BadInput, match=r"trust\.pixels: shape"):
+        sfsnet_loss(prediction, target, trust=trust._replace(pixels=target.mask[:1]))
+    with pytest.raises(BadInput, match=r"trust\.light: shape"):
+        sfsnet_loss(prediction, target, trust=trust._replace(light=torch.ones(1)))
