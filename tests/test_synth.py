@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import fcntl
 import os
 import random
 import signal
@@ -22,7 +21,6 @@ from disks import files_up_to
 
 from sfsnet_dr.base.checks import BadInput, WorkFailed
 from sfsnet_dr.base.config import fingerprint
-from sfsnet_dr.commands.faces import Synth
 from sfsnet_dr.data import synth
 from sfsnet_dr.data.bundle import Bundle, read_bundle
 from sfsnet_dr.data.manifest import Manifest
@@ -269,15 +267,6 @@ def test_a_face_that_no_list_knows_is_not_overwritten(whole: Path, tmp_path: Pat
     assert content(tmp_path) == {path.name: (whole / path.name).read_bytes()}
 
 
-def test_two_runs_do_not_write_into_one_folder(tmp_path: Path) -> None:
-    handle = os.open(tmp_path, os.O_RDONLY)
-    fcntl.flock(handle, fcntl.LOCK_EX)
-    with pytest.raises(BadInput, match="another run is writing here"):
-        synthesize(tmp_path, TINY, 1)
-    os.close(handle)
-    assert content(tmp_path) == {}
-
-
 @pytest.mark.parametrize("missing", [1, 20_000])
 def test_a_full_disk_is_told_and_leaves_nothing_half_written(
     whole: Path, tmp_path: Path, quick: None, missing: int
@@ -301,26 +290,3 @@ def test_a_disk_that_fills_up_later_is_told_too(
     monkeypatch.setattr(Manifest, "append", full)
     with pytest.raises(BadInput, match=r"No space left on device.*free some space and go on with --resume"):
         synthesize(tmp_path, TINY, 1)
-
-
-@pytest.mark.parametrize(
-    ("spec", "count", "words"),
-    [
-        (TINY, 0, "count 0"),
-        (SceneSpec("ball", "sphere"), 1, "shape 'sphere' found"),
-        (SceneSpec("faces", "ict"), 1, "model_path is missing"),
-        (SceneSpec("faces", "ict", model_path="absent.npz"), 1, "absent.npz"),
-    ],
-)
-def test_what_cannot_be_a_dataset_is_refused(tmp_path: Path, spec: SceneSpec, count: int, words: str) -> None:
-    with pytest.raises(BadInput, match=words):
-        synthesize(tmp_path / "out", spec, count)
-    assert not (tmp_path / "out").exists()
-
-
-def test_the_command_builds_the_scene() -> None:
-    out = Path("out")
-    assert Synth(out).spec() == load_scene(ROOT / "scenes" / "faces.toml")
-    spec = Synth(out, face_model="ict", model_path=Path("ict.npz")).spec()
-    assert (spec.shape, spec.model_path) == ("ict", "ict.npz")
-    assert Synth(out, scene=ROOT / "scenes" / "validation" / "head.toml").spec().name == "head"

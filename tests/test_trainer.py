@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import errno
-import json
 import os
 import signal
 import subprocess
 import sys
-import types
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -19,11 +17,11 @@ import torch
 from safetensors.torch import save_file
 from spheres import write_spheres
 
-from sfsnet_dr.base.checks import BadInput, NotInstalled, WorkFailed
+from sfsnet_dr.base.checks import BadInput, WorkFailed
 from sfsnet_dr.base.imageio import read_image
 from sfsnet_dr.data.augment import Augmentation
 from sfsnet_dr.fit.checkpoint import previous
-from sfsnet_dr.fit.history import History, read_history
+from sfsnet_dr.fit.history import read_history
 from sfsnet_dr.fit.recipe import ComputeRecipe, ModelRecipe, Recipe
 from sfsnet_dr.fit.run import CHECKPOINT, HISTORY, WEIGHTS
 from sfsnet_dr.fit.step import NotFinite, training_step
@@ -44,16 +42,10 @@ RECIPE = Recipe(
 
 
 @pytest.fixture(scope="module")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three small spheres."""
-    return write_spheres(tmp_path_factory.mktemp("faces"), 3)
-
-
-@pytest.fixture(scope="module")
-def whole(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def whole(spheres: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run from beginning to end."""
     folder = tmp_path_factory.mktemp("whole")
-    train(RECIPE, data, folder, progress=False)
+    train(RECIPE, spheres, folder, progress=False)
     return folder
 
 
@@ -90,8 +82,8 @@ def same_run(a: Path, b: Path) -> bool:
     return equal
 
 
-def test_a_run_leaves_weights_history_and_means(data: Path, tmp_path: Path) -> None:
-    result = train(RECIPE, data, tmp_path / "run", progress=False)
+def test_a_run_leaves_weights_history_and_means(spheres: Path, tmp_path: Path) -> None:
+    result = train(RECIPE, spheres, tmp_path / "run", progress=False)
     lines = read_history(result.history)
     assert [line["step"] for line in lines] == list(range(9))
     assert set(lines[0]) >= {"rate", "total", "recon", "normal", "albedo", "light", "images_per_second"}
@@ -104,15 +96,15 @@ def test_a_run_leaves_weights_history_and_means(data: Path, tmp_path: Path) -> N
 
 
 def test_a_crash_between_checkpoints_costs_nothing_but_time(
-    data: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    spheres: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patch:
         before_step(patch, 6, fail(RuntimeError("power cut")))
         with pytest.raises(RuntimeError):
-            train(RECIPE, data, tmp_path, progress=False)
+            train(RECIPE, spheres, tmp_path, progress=False)
     assert len(losses(tmp_path)) == 6  # two of them after the checkpoint of step 4
     assert not (tmp_path / WEIGHTS).exists()
-    train(RECIPE, data, tmp_path, resume=True, progress=False)
+    train(RECIPE, spheres, tmp_path, resume=True, progress=False)
     assert same_run(whole, tmp_path)
 
 
@@ -122,7 +114,7 @@ def test_a_crash_between_checkpoints_costs_nothing_but_time(
 def test_a_signal_saves_after_the_step(
     number: signal.Signals,
     error: type[BaseException],
-    data: Path,
+    spheres: Path,
     whole: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -131,21 +123,21 @@ def test_a_signal_saves_after_the_step(
     with monkeypatch.context() as patch:
         before_step(patch, 2, lambda: signal.raise_signal(number))
         with pytest.raises(error):
-            train(RECIPE, data, tmp_path, progress=False)
+            train(RECIPE, spheres, tmp_path, progress=False)
     assert signal.getsignal(number) == handler
     assert len(losses(tmp_path)) == 3
-    train(RECIPE, data, tmp_path, resume=True, progress=False)
+    train(RECIPE, spheres, tmp_path, resume=True, progress=False)
     assert same_run(whole, tmp_path)
 
 
-def test_resuming_a_finished_run_changes_nothing(data: Path, whole: Path) -> None:
+def test_resuming_a_finished_run_changes_nothing(spheres: Path, whole: Path) -> None:
     before = (whole / WEIGHTS).read_bytes()
-    train(RECIPE, data, whole, resume=True, progress=False)
+    train(RECIPE, spheres, whole, resume=True, progress=False)
     assert (whole / WEIGHTS).read_bytes() == before
 
 
-def test_another_seed_is_another_run(data: Path, whole: Path, tmp_path: Path) -> None:
-    train(replace(RECIPE, seed=1), data, tmp_path, progress=False)
+def test_another_seed_is_another_run(spheres: Path, whole: Path, tmp_path: Path) -> None:
+    train(replace(RECIPE, seed=1), spheres, tmp_path, progress=False)
     assert not same_run(whole, tmp_path)
 
 
@@ -162,26 +154,32 @@ def test_one_trainer_trains_every_network(architecture: str, tmp_path: Path) -> 
     assert [line["step"] for line in read_history(result.history)] == [0, 1]
 
 
-def test_runs_are_not_mixed(data: Path, whole: Path, tmp_path: Path) -> None:
+def test_runs_are_not_mixed(spheres: Path, whole: Path, tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="holds a run already"):
-        train(RECIPE, data, whole, progress=False)
+        train(RECIPE, spheres, whole, progress=False)
     with pytest.raises(BadInput, match="no checkpoint to resume from"):
-        train(RECIPE, data, tmp_path / "new", resume=True, progress=False)
+        train(RECIPE, spheres, tmp_path / "new", resume=True, progress=False)
     with pytest.raises(BadInput, match=r"recipe with data\.flip = 0\.5 found, 0\.1 asked for"):
-        train(replace(RECIPE, data=replace(RECIPE.data, flip=0.1)), data, whole, resume=True, progress=False)
+        train(
+            replace(RECIPE, data=replace(RECIPE.data, flip=0.1)),
+            spheres,
+            whole,
+            resume=True,
+            progress=False,
+        )
     others = write_spheres(tmp_path / "others", 2)
     with pytest.raises(BadInput, match="trained on other bundles"):
         train(RECIPE, others, whole, resume=True, progress=False)
     (tmp_path / CHECKPOINT).write_bytes((whole / WEIGHTS).read_bytes())
     with pytest.raises(BadInput, match=r"sfsnet_dr\.weights found in its header"):
-        train(RECIPE, data, tmp_path, resume=True, progress=False)
+        train(RECIPE, spheres, tmp_path, resume=True, progress=False)
 
 
 def test_a_step_that_is_not_finite_is_skipped_and_told(
-    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    spheres: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before_step(monkeypatch, 3, fail(NotFinite("recon not finite")))
-    result = train(RECIPE, data, tmp_path, progress=False)
+    result = train(RECIPE, spheres, tmp_path, progress=False)
     assert result.skipped == 1
     line = read_history(result.history)[3]
     assert line["skipped"] == "recon not finite"
@@ -189,39 +187,41 @@ def test_a_step_that_is_not_finite_is_skipped_and_told(
     assert line["faces"][0].startswith("sphere_")
 
 
-def test_too_many_such_steps_end_the_run(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_many_such_steps_end_the_run(
+    spheres: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("sfsnet_dr.fit.run.training_step", lambda *_: fail(NotFinite("total not finite"))())
     with pytest.raises(WorkFailed, match=r"3 steps were not finite \(2 allowed\); the last, 2, had total"):
-        train(replace(RECIPE, most_skipped=2), data, tmp_path, progress=False)
+        train(replace(RECIPE, most_skipped=2), spheres, tmp_path, progress=False)
 
 
 def test_a_failure_leaves_no_bar_in_a_log(
-    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    spheres: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     before_step(monkeypatch, 1, fail(RuntimeError("power cut")))
     with pytest.raises(RuntimeError):
-        train(RECIPE, data, tmp_path, progress=True)
+        train(RECIPE, spheres, tmp_path, progress=True)
     assert capfd.readouterr().err == ""
 
 
 def test_a_damaged_checkpoint_is_replaced_by_the_one_before(
-    data: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    spheres: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    train(RECIPE, data, tmp_path, progress=False)
+    train(RECIPE, spheres, tmp_path, progress=False)
     last = tmp_path / CHECKPOINT
     assert previous(last).is_file()
     last.write_bytes(last.read_bytes()[:1000])
-    train(RECIPE, data, tmp_path, resume=True, progress=False)  # from step 8 again
+    train(RECIPE, spheres, tmp_path, resume=True, progress=False)  # from step 8 again
     assert same_run(whole, tmp_path)
     assert "going on from checkpoint.previous.safetensors" in " ".join(capsys.readouterr().err.split())
     for path in (last, previous(last)):
         path.write_bytes(b"nothing")
     with pytest.raises(BadInput, match="not a checkpoint"):
-        train(RECIPE, data, tmp_path, resume=True, progress=False)
+        train(RECIPE, spheres, tmp_path, resume=True, progress=False)
 
 
 def test_a_full_disk_ends_the_run_with_the_last_checkpoint_whole(
-    data: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    spheres: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     saved = iter(range(100))
 
@@ -234,9 +234,9 @@ def test_a_full_disk_ends_the_run_with_the_last_checkpoint_whole(
     with monkeypatch.context() as patch:
         patch.setattr("sfsnet_dr.fit.checkpoint.save_file", full)
         with pytest.raises(WorkFailed, match=r"No space left on device.*make room and go on with --resume"):
-            train(RECIPE, data, tmp_path, progress=False)
+            train(RECIPE, spheres, tmp_path, progress=False)
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".partial")]
-    train(RECIPE, data, tmp_path, resume=True, progress=False)
+    train(RECIPE, spheres, tmp_path, resume=True, progress=False)
     assert same_run(whole, tmp_path)
 
 
@@ -257,19 +257,19 @@ train(RECIPE, sys.argv[2], sys.argv[3], progress=False)
 
 
 @pytest.mark.slow
-def test_a_killed_run_ends_as_one_that_was_not(data: Path, whole: Path, tmp_path: Path) -> None:
+def test_a_killed_run_ends_as_one_that_was_not(spheres: Path, whole: Path, tmp_path: Path) -> None:
     place = os.environ | {"OMP_NUM_THREADS": str(torch.get_num_threads())}
-    command = [sys.executable, "-c", KILLED, str(Path(__file__).parent), str(data), str(tmp_path)]
+    command = [sys.executable, "-c", KILLED, str(Path(__file__).parent), str(spheres), str(tmp_path)]
     assert subprocess.run(command, env=place, check=False).returncode == -signal.SIGKILL
     assert len(losses(tmp_path)) == 6
-    train(RECIPE, data, tmp_path, resume=True, progress=False)
+    train(RECIPE, spheres, tmp_path, resume=True, progress=False)
     assert same_run(whole, tmp_path)
 
 
 def test_pictures_are_drawn_every_so_often_and_change_nothing(
-    data: Path, whole: Path, tmp_path: Path
+    spheres: Path, whole: Path, tmp_path: Path
 ) -> None:
-    train(replace(RECIPE, pictures_every=4), data, tmp_path, progress=False)
+    train(replace(RECIPE, pictures_every=4), spheres, tmp_path, progress=False)
     assert sorted(path.name for path in tmp_path.glob("*.png")) == [
         "pictures-000004.png",
         "pictures-000008.png",
@@ -277,46 +277,3 @@ def test_pictures_are_drawn_every_so_often_and_change_nothing(
     assert read_image(tmp_path / "pictures-000008.png").pixels.shape == (2 * 16, 9 * 16, 3)
     drawn, plain = (load_weights(folder / WEIGHTS).state_dict() for folder in (tmp_path, whole))
     assert all(torch.equal(drawn[name], plain[name]) for name in plain)
-
-
-def test_tensorboard_is_an_extra(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("importlib.util.find_spec", lambda name, *_: None)
-    with pytest.raises(NotInstalled, match=r"pip install 'sfsnet_dr\[tensorboard\]'"):
-        train(RECIPE, data, tmp_path, progress=False, tensorboard=True)
-
-
-def test_tensorboard_gets_the_numbers_of_every_step(
-    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    written: list[tuple[str, int]] = []
-
-    class Writer:
-        def __init__(self, folder: str, purge_step: int) -> None:
-            assert (folder, purge_step) == (str(tmp_path / "tensorboard"), 0)
-
-        def add_scalar(self, name: str, value: float, step: int) -> None:
-            written.append((name, step))
-
-        def close(self) -> None:
-            written.append(("closed", 0))
-
-    fake = types.ModuleType("torch.utils.tensorboard.writer")
-    fake.SummaryWriter = Writer  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", types.ModuleType("torch.utils.tensorboard"))
-    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard.writer", fake)
-    monkeypatch.setattr("importlib.util.find_spec", lambda name, *_: object())
-    train(replace(RECIPE, steps=2), data, tmp_path, progress=False, tensorboard=True)
-    assert {("total", 0), ("total", 1), ("rate", 1), ("images_per_second", 0)} <= set(written)
-    assert written[-1] == ("closed", 0)
-
-
-def test_a_torn_history_line_is_dropped(tmp_path: Path) -> None:
-    path = tmp_path / HISTORY
-    path.write_text(json.dumps({"step": 0}) + "\n" + json.dumps({"step": 1}) + "\n" + '{"ste')
-    assert read_history(path) == [{"step": 0}, {"step": 1}]
-    with History(path, 1) as history:
-        history.add(step=1, total=2.0)
-    assert read_history(path) == [{"step": 0}, {"step": 1, "total": 2.0}]
-    path.write_text("{\n")
-    with pytest.raises(BadInput, match=HISTORY):
-        read_history(path)
