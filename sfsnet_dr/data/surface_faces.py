@@ -22,9 +22,11 @@ import torch
 from torch.nn import functional
 
 from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.base.config import added
 from sfsnet_dr.data.batch import FaceBatch, dealt, in_turn
 from sfsnet_dr.data.exposure import metering_gain
 from sfsnet_dr.data.flip import flip_light, flip_map, flip_normal
+from sfsnet_dr.data.in_plane import InPlane
 from sfsnet_dr.data.mixture import count_of
 from sfsnet_dr.data.real_batch import RealBatch
 from sfsnet_dr.data.surface_labels import SurfaceLabels, light_labels, load_surfaces, read_index
@@ -44,6 +46,9 @@ class SurfaceOptions:
         flip: probability of a left-right reflection.
         exposure: greatest change of exposure, in stops, either way, after the metering that measuring does
             too.
+        roll, scale, shift: greatest turn within the image in degrees, relative change of size, and move as a
+            share of the image's width, each either way: they keep a network from knowing few people by where
+            their features are.
         folds: parts that all subjects are split into by their names.
         fold: the part that is held back, 0 to folds - 1.
 
@@ -56,13 +61,33 @@ class SurfaceOptions:
     exposure: float = 0.5
     folds: int = 4
     fold: int = 0
+    roll: float = added(0.0)
+    scale: float = added(0.0)
+    shift: float = added(0.0)
 
     def __post_init__(self) -> None:
-        ranges = {"share": (0, 1), "flip": (0, 1), "exposure": (0, 4), "folds": (2, 1000)}
-        for name, (least, most) in (ranges | {"fold": (0, self.folds - 1)}).items():
+        ranges: dict[str, tuple[float, float]] = {
+            "share": (0, 1),
+            "flip": (0, 1),
+            "exposure": (0, 4),
+            "folds": (2, 1000),
+        }
+        ranges |= {"fold": (0, self.folds - 1), "roll": (0, 45), "scale": (0, 0.5), "shift": (0, 0.25)}
+        for name, (least, most) in ranges.items():
             value = getattr(self, name)
             if not least <= value <= most:
                 raise BadInput(f"surfaces.{name}: {value:g} found, {least} to {most} allowed")
+
+    def moves(self, rng: np.random.Generator, count: int, width: int) -> InPlane | None:
+        """A move for each of some pictures, ``width`` pixels wide; None if none is asked for."""
+        if not (self.roll or self.scale or self.shift):
+            return None
+        roll, scale, *shift = rng.uniform(-1, 1, (4, count))
+        return InPlane(
+            torch.from_numpy(np.radians(self.roll) * roll).float(),
+            torch.from_numpy(1 + self.scale * scale).float(),
+            torch.from_numpy(self.shift * width * np.stack(shift, 1)).float(),
+        )
 
     def count(self, batch_size: int) -> int:
         """Images in a mini-batch; see ``data.mixture.count_of``."""
@@ -223,6 +248,7 @@ class SurfaceFaces:
         owner = self._owner[rows]
         flips = torch.from_numpy(rng.uniform(size=count) < self.options.flip)[part].to(device)
         stops = torch.from_numpy(rng.uniform(-1, 1, count) * self.options.exposure).float()[part].to(device)
+        moves = self.options.moves(rng, count, self.pixels[1])
         mask, confidence, albedo = self._mask[owner], self._confidence[owner], self._albedo[owner]
         image = self._image[rows].float().expand(-1, 3, -1, -1)
         gain = metering_gain(image, mask)[:, 0, 0, 0] * 2.0**stops
@@ -233,6 +259,10 @@ class SurfaceFaces:
         )
         normal = torch.where(turned, flip_normal(self._normal[owner]), self._normal[owner])
         light = torch.where(flips[:, None], flip_light(self._light[rows]), self._light[rows])
+        if moves is not None:
+            move = moves.part(part, device)
+            image, albedo, confidence = (move.map(planes) for planes in (image, albedo, confidence))
+            normal, light, mask = move.normal(normal), move.light(light), move.mask(mask)
         faces = FaceBatch(image, normal, albedo, light * gain[:, None], mask)
         return RealBatch(faces, confidence, torch.ones_like(flips), torch.ones_like(gain))
 
