@@ -51,7 +51,7 @@ def test_photographs_and_captures_are_learnt_from_together(
     part = real_part(recipe, labels, surfaces, None)
     assert part.counts == (1, 1)
     real = part.open(torch.device("cpu"))
-    photograph, capture = (source(torch.device("cpu")) for source in part.sources)
+    photograph, capture = (source.open(torch.device("cpu")) for source in part.sources)
     batch = real.batch(3)
     assert batch.free_scale.tolist() == [False, True]
     for whole, *pieces in zip(

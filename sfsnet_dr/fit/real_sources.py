@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 
@@ -19,23 +19,38 @@ from sfsnet_dr.fit.recipe import Recipe
 from sfsnet_dr.model.weights import read_metadata
 
 
+class Unopened(NamedTuple):
+    """A source of real faces that a recipe asks for.
+
+    Attributes:
+        images: of it in a mini-batch.
+        open: makes its batches on a device.
+    """
+
+    images: int
+    open: Callable[[torch.device], RealSource]
+
+
 @dataclass(frozen=True)
 class RealPart:
     """What a recipe takes of real faces, ready to be opened.
 
     Attributes:
-        counts: images of each source in a mini-batch; empty where there is none.
-        sources: makes each source's batches on a device.
+        sources: photographs with pseudo-labels, then captures; empty where there is none.
         metadata: what the weights should tell about them.
     """
 
-    counts: tuple[int, ...] = ()
-    sources: tuple[Callable[[torch.device], RealSource], ...] = ()
+    sources: tuple[Unopened, ...] = ()
     metadata: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """Images of each source in a mini-batch."""
+        return tuple(source.images for source in self.sources)
 
     def open(self, device: torch.device) -> RealTogether:
         """The batches of all sources on a device; there must be one."""
-        return RealTogether([source(device) for source in self.sources])
+        return RealTogether([source.open(device) for source in self.sources])
 
 
 def real_part(
@@ -54,22 +69,28 @@ def real_part(
         surfaces,
         "--surfaces DIR (see `sfsnet-dr photometric-stereo`)",
     )
-    counts: list[int] = []
-    sources: list[Callable[[torch.device], RealSource]] = []
+    sources: list[Unopened] = []
     metadata = {}
     if labels is not None:
         found, photographs = load_pseudo_labels(labels), recipe.real.count(recipe.batch_size)
         _check_crop(labels, int(found.spec.get("crop", FACE_SIZE)), recipe.data.crop)
-        counts.append(photographs)
-        sources.append(lambda device: RealFaces(found.to(device), photographs, recipe.real, recipe.seed))
+        sources.append(
+            Unopened(
+                photographs, lambda device: RealFaces(found.to(device), photographs, recipe.real, recipe.seed)
+            )
+        )
     if surfaces is not None:
         faces, split = load_learnt(surfaces, recipe.surfaces, recipe.data.view)
         captures = recipe.surfaces.count(recipe.batch_size)
         _check_start(start, split)
-        counts.append(captures)
-        sources.append(lambda device: SurfaceFaces(faces, captures, recipe.surfaces, recipe.seed, device))
+        sources.append(
+            Unopened(
+                captures,
+                lambda device: SurfaceFaces(faces, captures, recipe.surfaces, recipe.seed, device),
+            )
+        )
         metadata = {"surfaces": split.metadata}
-    return RealPart(tuple(counts), tuple(sources), metadata)
+    return RealPart(tuple(sources), metadata)
 
 
 def _together(key: str, share: float, folder: Path | str | None, option: str) -> None:
