@@ -17,7 +17,7 @@ def surfaces(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def spheres(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three bundles."""
+    """Three rendered spheres of 16 x 16."""
     from spheres import write_spheres
 
     return write_spheres(tmp_path_factory.mktemp("faces"), 3)

@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 import torch
-from spheres import write_spheres
 from torch import Tensor
 
 from sfsnet_dr.base.checks import BadInput
@@ -68,12 +67,6 @@ def write_labels(folder: Path, count: int = 5, size: int = 16, values: Values = 
 def labels(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Five labelled photographs of 16 x 16."""
     return write_labels(tmp_path_factory.mktemp("labels") / "a")
-
-
-@pytest.fixture(scope="module")
-def spheres(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three rendered spheres of 16 x 16."""
-    return write_spheres(tmp_path_factory.mktemp("faces"), 3)
 
 
 def misfit(batch: FaceBatch) -> float:

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 import torch
-from spheres import write_spheres
 from test_trainer import RECIPE as LONGER
 
 from sfsnet_dr.base.checks import BadInput, WorkFailed
@@ -22,47 +21,41 @@ RECIPE = replace(LONGER, steps=4, checkpoint_every=2)
 
 
 @pytest.fixture(scope="module")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three small spheres."""
-    return write_spheres(tmp_path_factory.mktemp("faces"), 3)
-
-
-@pytest.fixture(scope="module")
-def first(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def first(spheres: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Weights to begin with."""
-    return train(RECIPE, data, tmp_path_factory.mktemp("first"), progress=False).weights
+    return train(RECIPE, spheres, tmp_path_factory.mktemp("first"), progress=False).weights
 
 
-def test_a_run_begins_where_the_other_ended(data: Path, first: Path, tmp_path: Path) -> None:
+def test_a_run_begins_where_the_other_ended(spheres: Path, first: Path, tmp_path: Path) -> None:
     model = RECIPE.make_model()
     copy_weights(first, model)
     for name, tensor in load_weights(first).state_dict().items():
         assert torch.equal(model.state_dict()[name], tensor)
-    train(RECIPE, data, tmp_path, progress=False, start=first)
+    train(RECIPE, spheres, tmp_path, progress=False, start=first)
     random, begun = (read_history(folder / HISTORY)[0] for folder in (first.parent, tmp_path))
     assert begun["total"] != random["total"]
     assert read_metadata(tmp_path / WEIGHTS)["start"] == sha256(first)
 
 
 def test_it_is_gone_on_with_as_if_it_was_never_stopped(
-    data: Path, first: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    spheres: Path, first: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = train(RECIPE, data, tmp_path / "whole", progress=False, start=first).weights
+    whole = train(RECIPE, spheres, tmp_path / "whole", progress=False, start=first).weights
     monkeypatch.setattr("sfsnet_dr.fit.run.Run.finish", _stop)
     with pytest.raises(WorkFailed):
-        train(replace(RECIPE, steps=4), data, tmp_path / "cut", progress=False, start=first)
+        train(replace(RECIPE, steps=4), spheres, tmp_path / "cut", progress=False, start=first)
     monkeypatch.undo()
     for other in (None, whole):
         with pytest.raises(BadInput, match=f"{CHECKPOINT}: begun with weights of SHA-256 .* given; resume"):
-            train(RECIPE, data, tmp_path / "cut", progress=False, resume=True, start=other)
-    again = train(RECIPE, data, tmp_path / "cut", progress=False, resume=True, start=first).weights
+            train(RECIPE, spheres, tmp_path / "cut", progress=False, resume=True, start=other)
+    again = train(RECIPE, spheres, tmp_path / "cut", progress=False, resume=True, start=first).weights
     assert again.read_bytes() == whole.read_bytes()
 
 
-def test_weights_of_another_network_are_refused(data: Path, first: Path, tmp_path: Path) -> None:
+def test_weights_of_another_network_are_refused(spheres: Path, first: Path, tmp_path: Path) -> None:
     wider = replace(RECIPE, model=ModelRecipe(stem=8, features=8, blocks=1))
     with pytest.raises(BadInput, match=r"stem = 4 found, a sfsnet with .*stem = 8 is to begin with it"):
-        train(wider, data, tmp_path, progress=False, start=first)
+        train(wider, spheres, tmp_path, progress=False, start=first)
 
 
 def _stop(_: object) -> None:
