@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from faces import away_share, measure_heads
 
 from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.base.config import as_dict
 from sfsnet_dr.scene.face import sample_face, sample_shape
 from sfsnet_dr.scene.face_model import EYE_CENTRES, FaceModel, load_model
 from sfsnet_dr.scene.mesh import Region, vertex_normals
@@ -78,6 +81,24 @@ def test_a_seed_is_a_person() -> None:
     np.testing.assert_array_equal(one.mesh.vertices, again.mesh.vertices)
     np.testing.assert_array_equal(one.mesh.albedo, again.mesh.albedo)
     assert np.abs(one.mesh.vertices - other.mesh.vertices).max() > 0.01
+
+
+def test_a_deeper_head_differs_along_the_line_of_sight_alone() -> None:
+    front = HeadSpec(subdivision=0, yaw=0.0, pitch=0.0, roll=0.0, scale_jitter=0.0, shift_jitter=0.0)
+    far = CameraSpec(distance=1e4)  # so that depth does not show in perspective
+    usual, deep, drawn = (
+        sample_face(4, SceneSpec("x", "anny", camera=far, head=replace(front, depth=depth)))
+        for depth in ((1.0, 1.0), (1.3, 1.3), (1.0, 1.3))
+    )
+    eyes = usual.landmarks["eye_image_left"]
+    for face, factor in ((deep, 1.3), (drawn, None)):
+        before, after = usual.mesh.vertices - eyes, face.mesh.vertices - face.landmarks["eye_image_left"]
+        np.testing.assert_allclose(after[:, :2], before[:, :2], atol=1e-3)  # perspective at 10,000 units
+        ratio = after[:, 2].std() / before[:, 2].std()
+        assert 1.0 < ratio < 1.3 if factor is None else abs(ratio - factor) < 1e-3
+        np.testing.assert_allclose(after[:, 2], ratio * before[:, 2], atol=1e-3)
+        np.testing.assert_array_equal(face.mesh.albedo, usual.mesh.albedo)
+    assert "depth" not in as_dict(front), "data sets made before keep their fingerprint"
 
 
 def test_relief_moves_skin_by_less_than_hair() -> None:

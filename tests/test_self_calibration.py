@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -105,10 +106,10 @@ def test_captures_are_turned_to_where_heads_usually_face() -> None:
 def test_lamps_of_stretched_surfaces_explain_the_same_pictures() -> None:
     normal, albedo = face(3)
     lamps = Lamps(dict(zip(NAMES, LAMPS, strict=True)), {}, dict.fromkeys(NAMES, 2.0))
-    stretched = lamps.for_stretched(1.2)
+    stretched = lamps.for_stretched(0.9, 1.2)
     for name, vector in zip(NAMES, LAMPS, strict=True):
         before = 2.0 * (albedo * normal) @ vector
-        after = (albedo * normal * [1, 1.2, 1]) @ (stretched.strength[name] * stretched.direction[name])
+        after = (albedo * normal * [0.9, 1.2, 1]) @ (stretched.strength[name] * stretched.direction[name])
         np.testing.assert_allclose(after, before, rtol=0, atol=1e-12)
 
 
@@ -182,6 +183,23 @@ def test_labels_without_known_lamps_are_nearly_those_with(
     _, split = load_learnt(tmp_path / "found", SurfaceOptions(share=0.5, folds=2))
     assert split.lamps_by == "skipnet"
     assert read_split({"surfaces": split.metadata}) == split
+
+
+def test_how_steep_faces_are_is_told_by_heads(
+    tmp_path: Path, oracle: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A network that sees all faces too flat sees the lamps too oblique; heads on average are not flat."""
+    read = read_captures(list_yale_b(write_yale_b(tmp_path / "yale", 2)))
+    known = torch.from_numpy(np.moveaxis(crop_normals(), -1, 0)).float()
+    flat = (known / torch.tensor([1.2, 1.2, 1.0])[:, None, None]).numpy()
+    monkeypatch.setattr(sys.modules[__name__], "crop_normals", lambda: np.moveaxis(flat, 0, -1))
+    monkeypatch.setattr(found_lamps, "mean_normals", lambda heads: 0.9 * known)
+    told = [
+        np.mean(list(lamp_errors(read.listing, with_found_lamps(read, "skipnet", heads).listing).values()))
+        for heads in ((), ("heads",))
+    ]
+    assert told[0] > 3
+    assert told[1] < 1.0, told
 
 
 def test_a_network_is_asked(tmp_path: Path) -> None:

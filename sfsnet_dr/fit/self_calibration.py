@@ -14,7 +14,7 @@ lamps of a capture is off by some ten degrees, but smoothly, which a linear map 
    Where it is given what rendered heads have there on average, all is turned as one until the captures'
    normals lie nearest to that: heads differ from each other, but are not all turned one way.
 
-No direction is read.
+How steep faces are is left open by all this: ``usual_slopes``. No direction is read.
 
 Sources: the ambiguity, Hayakawa, JOSA A 1994, and Belhumeur, Kriegman and Yuille, IJCV 1999; robust weights
 as in ``fit.photometric_stereo``.
@@ -85,10 +85,10 @@ class Lamps:
     lost: Mapping[str, str] = field(default_factory=dict)
     strength: Mapping[str, float] = field(default_factory=dict)
 
-    def for_stretched(self, ratio: float) -> Lamps:
-        """The lamps that explain the same pictures with n_y of all surfaces times ``ratio``."""
+    def for_stretched(self, across: float, down: float) -> Lamps:
+        """The lamps that explain the same pictures with n_x and n_y of all surfaces times two factors."""
         lamps = {
-            name: self.strength[name] * direction / np.array([1.0, ratio, 1.0])
+            name: self.strength[name] * direction / np.array([across, down, 1.0])
             for name, direction in self.direction.items()
         }
         strength = {name: float(np.linalg.norm(lamp)) for name, lamp in lamps.items()}

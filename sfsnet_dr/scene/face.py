@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sfsnet_dr.scene.appearance import Appearance, skin_appearance
-from sfsnet_dr.scene.face_model import FaceModel, HeadShape, Stream, load_model, streams_of
+from sfsnet_dr.scene.face_model import FaceModel, HeadShape, Stream, Streams, load_model, streams_of
 from sfsnet_dr.scene.mesh import Mesh, vertex_normals
 from sfsnet_dr.scene.person import Person
 from sfsnet_dr.scene.placement import Pose, place
@@ -62,6 +62,7 @@ def sample_face(seed: int, spec: SceneSpec) -> Face:
     if spec.head.relief:
         hair = appearance.hair if appearance else None
         vertices = displace(vertices, model.normals, model.weights, streams(Stream.RELIEF), person, hair)
+    vertices = _deepened(vertices, shape.eyes, spec, streams)
     pose = Pose.sample(streams(Stream.POSE), spec.head, spec.camera)
     placed = place(np.vstack([shape.eyes, vertices]), shape.eyes, pose, pose.camera(spec.camera))
     mesh = Mesh(
@@ -75,6 +76,17 @@ def sample_face(seed: int, spec: SceneSpec) -> Face:
     landmarks = {"eye_image_left": placed[0], "eye_image_right": placed[1]}
     landmarks |= {name: placed[2 + vertex] for name, vertex in model.landmarks.items()}
     return Face(mesh, landmarks, pose, person, appearance)
+
+
+def _deepened(vertices: Array, eyes: Array, spec: SceneSpec, streams: Streams) -> Array:
+    """A head that is deeper, or flatter, than its model's: slopes times a factor, seen from the front."""
+    if spec.head.depth == (1.0, 1.0):
+        return vertices
+    factor = streams(Stream.DEPTH).uniform(*spec.head.depth)
+    eye_level = eyes[:, 2].mean()
+    deeper = vertices.copy()
+    deeper[:, 2] = eye_level + factor * (vertices[:, 2] - eye_level)
+    return deeper
 
 
 def sample_shape(seed: int, spec: SceneSpec) -> HeadShape:

@@ -43,6 +43,7 @@ class Stream(IntEnum):
     PERSON = 4
     GAZE = 5
     RELIEF = 6
+    DEPTH = 7
 
 
 Streams = Callable[[Stream], np.random.Generator]

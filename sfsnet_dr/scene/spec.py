@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from sfsnet_dr.base.checks import BadInput
-from sfsnet_dr.base.config import load_toml
+from sfsnet_dr.base.config import added, load_toml
 from sfsnet_dr.base.conventions import FACE_SIZE
 from sfsnet_dr.scene.light_spec import LightSpec
 
@@ -49,6 +49,9 @@ class HeadSpec:
         scale_jitter: greatest relative change of the canonical scale.
         shift_jitter: greatest shift in pixels of the canonical frame.
         relief: whether pores, wrinkles and hair move the surface.
+        depth: range of factors on how deep a head is, along the line through nose and nape. Face models are
+            flatter than what photometric stereo finds of people: slopes of Extended Yale B's are 1.2 to 1.35
+            times those of Anny's and ICT's heads at the same pixels.
     """
 
     subdivision: int | None = None
@@ -62,6 +65,7 @@ class HeadSpec:
     scale_jitter: float = 0.1
     shift_jitter: float = 4.0
     relief: bool = True
+    depth: tuple[float, float] = added((1.0, 1.0))
 
 
 @dataclass(frozen=True)
@@ -154,8 +158,12 @@ def check_scene(spec: SceneSpec, where: str) -> None:
         "sampling.reference": (spec.sampling.reference, 2, 65536),
     }
     limits |= {f"camera.focal[{k}]": (value, 22.0, 1000.0) for k, value in enumerate(spec.camera.focal or ())}
+    limits |= {f"head.depth[{k}]": (value, 0.5, 2.0) for k, value in enumerate(spec.head.depth)}
     limits |= {f"light.{key}": limit for key, limit in spec.light.limits().items()}
     limits |= {f"albedo[{k}]": (value, 0.0, 1.0) for k, value in enumerate(spec.albedo or ())}
     for key, (value, low, high) in limits.items():
         if not low <= value <= high:
             raise BadInput(f"{where}: {key}: {value} found, {low} to {high} allowed")
+    low, high = spec.head.depth
+    if low > high:
+        raise BadInput(f"{where}: head.depth: {low:g} to {high:g} found, the smaller number must come first")

@@ -18,6 +18,7 @@ from sfsnet_dr.data.mean_normals import mean_normals
 from sfsnet_dr.fit.integrability import vertical_stretch
 from sfsnet_dr.fit.photometric_stereo import FEWEST, fit_pixels, is_valid
 from sfsnet_dr.fit.self_calibration import Guess, Lamps, find_lamps
+from sfsnet_dr.fit.usual_slopes import usual_slopes
 from sfsnet_dr.metrics.light_classes import light_direction
 from sfsnet_dr.metrics.normals import angles_deg
 from sfsnet_dr.model.shipped import weights_path
@@ -41,8 +42,8 @@ def with_found_lamps(
     Args:
         read: captures of 12 lamps or more. A lamp's name means the same lamp in every capture.
         weights: of the network that makes the first guess, a file or a shipped name.
-        heads: folders of rendered heads, which tell how people face on average; none to leave that to the
-            network.
+        heads: folders of rendered heads, which tell how people face on average and how steep their slopes
+            are; none to leave that to the network.
         on_capture: called after each.
 
     Returns:
@@ -61,7 +62,11 @@ def with_found_lamps(
             guesses.append(_guess(method, named, usual))
         on_capture()
     found = find_lamps(guesses)
-    found = found.for_stretched(vertical_stretch([_normals(face, found) for face in read.faces]))
+    found = found.for_stretched(1.0, vertical_stretch([_normals(face, found) for face in read.faces]))
+    if usual is not None:
+        head = usual.movedim(0, -1).double().numpy()
+        deeper = usual_slopes([_normals(face, found) for face in read.faces], head)
+        found = found.for_stretched(deeper, deeper)
 
     def placed(photo: FacePhoto) -> FacePhoto:
         return replace(photo, direction=_direction(found.direction, photo.light))
