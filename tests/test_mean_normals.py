@@ -12,7 +12,7 @@ from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.cli import main
 from sfsnet_dr.data.bundle import read_bundle
 from sfsnet_dr.data.flip import flip_normal
-from sfsnet_dr.data.mean_normals import mean_normals
+from sfsnet_dr.data.mean_normals import head_normals, mean_normals
 from sfsnet_dr.data.view import View
 
 
@@ -33,6 +33,21 @@ def test_the_mean_of_one_head_is_that_head_and_its_mirror_image(tmp_path: Path) 
     torch.testing.assert_close(found[:, whole], expected[:, whole], rtol=0, atol=1e-3)
     both = mean_normals([folder, write_spheres(tmp_path / "more", 3)])
     assert not torch.equal(both, found)
+
+
+def test_single_heads_are_those_of_the_mean(tmp_path: Path) -> None:
+    folder = write_spheres(tmp_path / "three", 3)
+    heads = list(head_normals(folder, 10))
+    assert len(heads) == 3
+    assert len(list(head_normals(folder, 2))) == 2
+    normal, known = (torch.from_numpy(part) for part in heads[0])
+    assert normal.shape == (128, 128, 3)
+    assert 0.1 < known.double().mean() < 1
+    torch.testing.assert_close(normal[known].norm(dim=1).median().item(), 1.0, rtol=0, atol=0.01)
+    one = mean_normals(write_spheres(tmp_path / "one", 1)).movedim(0, -1)
+    both = known & known.flip(-1)
+    mirrored = (normal + flip_normal(normal.movedim(-1, 0)).movedim(0, -1)) / 2
+    torch.testing.assert_close(one[both].double(), mirrored[both], rtol=0, atol=0.01)  # pixels .99 skin count
 
 
 def test_bad_heads_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -191,9 +191,11 @@ def test_how_steep_faces_are_is_told_by_heads(
     """A network that sees all faces too flat sees the lamps too oblique; heads on average are not flat."""
     read = read_captures(list_yale_b(write_yale_b(tmp_path / "yale", 2)))
     known = torch.from_numpy(np.moveaxis(crop_normals(), -1, 0)).float()
+    head = (crop_normals(), np.ones(crop_normals().shape[:2], bool))
     flat = (known / torch.tensor([1.2, 1.2, 1.0])[:, None, None]).numpy()
     monkeypatch.setattr(sys.modules[__name__], "crop_normals", lambda: np.moveaxis(flat, 0, -1))
     monkeypatch.setattr(found_lamps, "mean_normals", lambda heads: 0.9 * known)
+    monkeypatch.setattr(found_lamps, "head_normals", lambda heads, most: [head] * most)
     told = [
         np.mean(list(lamp_errors(read.listing, with_found_lamps(read, "skipnet", heads).listing).values()))
         for heads in ((), ("heads",))

@@ -1,9 +1,13 @@
-"""How rendered heads face on average: what says which way is straight ahead where no lamp is known."""
+"""How rendered heads face on average, and how steep they are: what tells both where no lamp is known."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Final
 
+import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -15,6 +19,8 @@ from sfsnet_dr.data.view import View
 
 #: Share of the heads whose skin must cover a pixel.
 _COVERED: Final = 0.5
+#: Share of a pixel that is skin where its normal is one head's.
+_WHOLE: Final = 0.99
 
 
 def mean_normals(folders: Folders) -> Tensor:
@@ -29,12 +35,36 @@ def mean_normals(folders: Folders) -> Tensor:
     total, cover = torch.zeros(3, FACE_SIZE, FACE_SIZE), torch.zeros(1, FACE_SIZE, FACE_SIZE)
     paths = [path for path, _ in listed(folders)]
     for path in paths:
-        bundle = read_bundle(path)
-        skin = torch.from_numpy(bundle.mask)[None].float()
-        normal = torch.from_numpy(bundle.normal).movedim(-1, 0).float() * skin
-        frame = View(skin.shape[-1])
-        total += frame.spread(normal, FACE_SIZE)
-        cover += frame.spread(skin, FACE_SIZE)
+        normal, skin = _in_frame(path)
+        total += normal
+        cover += skin
     total, cover = total + flip_normal(total), cover + cover.flip(-1)
     known = cover >= 2 * _COVERED * len(paths)
     return torch.where(known, total / cover.clamp_min(1e-6), torch.zeros(()))
+
+
+def head_normals(
+    folders: Folders, most: int
+) -> Iterator[tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]]:
+    """Normals of single heads, of any length (128, 128, 3), and where they are known (128, 128).
+
+    Args:
+        folders: what ``sfsnet-dr synth`` wrote.
+        most: no more than so many, evenly out of all.
+
+    Raises:
+        BadInput: for folders without usable bundles.
+    """
+    paths = [path for path, _ in listed(folders)]
+    for path in paths[:: -(-len(paths) // most)]:
+        normal, skin = _in_frame(path)
+        yield normal.movedim(0, -1).double().numpy(), skin[0].numpy() > _WHOLE
+
+
+def _in_frame(path: Path) -> tuple[Tensor, Tensor]:
+    """A bundle's normals times its skin (3, 128, 128), and its skin (1, 128, 128)."""
+    bundle = read_bundle(path)
+    skin = torch.from_numpy(bundle.mask)[None].float()
+    frame = View(skin.shape[-1])
+    normal = torch.from_numpy(bundle.normal).movedim(-1, 0).float() * skin
+    return frame.spread(normal, FACE_SIZE), frame.spread(skin, FACE_SIZE)

@@ -1,52 +1,85 @@
-"""How much flatter faces were found than heads usually are, where pictures alone cannot tell.
+"""How much flatter faces were found than heads are, where pictures alone cannot tell.
 
 Lamps that were found from pictures leave open how deep the faces are: slopes times s, and lamps moved toward
 the viewer's axis, explain the same pictures (the generalised bas-relief ambiguity). What a network answered
 stays in them, and networks answer too flat, because a mean over what a face may be is flatter than each.
 Heads differ in depth, but the mean over many captures is that of many heads.
 
+How steep a face is, is measured face by face: features that lie elsewhere in each would be lost in a mean
+face, more so in that of heads that were shifted and turned.
+
 Source: Belhumeur, Kriegman and Yuille, IJCV 1999.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from sfsnet_dr.base.checks import BadInput
 
-#: Least n_z, of a mean of unit normals, at which its slopes mean something.
-_STEEPEST: Final = 0.4
-#: Pixels below which nothing is told.
-_FEWEST: Final = 100
+Array = npt.NDArray[np.float64]
+Known = npt.NDArray[np.bool_]
+
+#: Least n_z at which slopes mean something.
+_STEEPEST: Final = 0.35
+#: A pixel counts that so many of the faces know.
+_SHARED: Final = 0.9
+#: A head counts that knows so many of those pixels, and whose mean normal there is within so many degrees of
+#: the line of sight, sideways and up: a turned one has slopes on one side that no portrait shows.
+_SEEN: Final = 0.5
+_AHEAD: Final = 10.0
+#: Pixels and heads below which nothing is told.
+_FEWEST_PIXELS: Final = 100
+FEWEST_HEADS: Final = 20
 #: What is believed; beyond, something else is wrong.
 _RANGE: Final = (0.7, 1.5)
 
 
-def usual_slopes(faces: Sequence[tuple[Array, npt.NDArray[np.bool_]]], usual: Array) -> float:
-    """The factor for n_x and n_y for which faces are as steep as usual heads; 1 if they cannot tell.
-
-    It is the least-squares fit of the slopes n_x / n_z and n_y / n_z of the mean face as a multiple of those
-    of the mean head, over the pixels that both have.
+def usual_slopes(faces: Sequence[tuple[Array, Known]], heads: Iterable[tuple[Array, Known]]) -> float:
+    """The factor for n_x and n_y for which the faces are as steep as heads are on average.
 
     Args:
-        faces: normals of any length (H, W, 3), and where they are known (H, W).
-        usual: mean of the unit normals of heads (H, W, 3), 0 where it is not known.
+        faces: normals of any length (H, W, 3), and where they are known (H, W); of people who look ahead.
+        heads: the same of heads; those that are turned are left out.
 
     Returns:
-        .7 to 1.5.
+        .7 to 1.5; 1 if there are too few pixels that most faces know.
+
+    Raises:
+        BadInput: if too few of the heads look ahead.
     """
-    total, count = np.zeros_like(usual), np.zeros(usual.shape[:2])
-    for normal, known in faces:
-        length = np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
-        total += normal / length * known[..., None]
-        count += known
-    mean = total / np.maximum(count, 1)[..., None]
-    both = (mean[..., 2] > _STEEPEST) & (usual[..., 2] > _STEEPEST)
-    if both.sum() < _FEWEST:
+    known_faces = [(normal, known) for normal, known in faces if known.any()]
+    if not known_faces:
         return 1.0
-    found, wanted = (part[both][:, :2] / part[both][:, 2:] for part in (mean, usual))
-    return float(np.clip((wanted * wanted).sum() / max((found * wanted).sum(), 1e-9), *_RANGE))
+    where = np.mean([known for _, known in known_faces], axis=0) >= _SHARED
+    if where.sum() < _FEWEST_PIXELS:
+        return 1.0
+    usual = [_steepness(normal[known & where]) for normal, known in heads if _ahead(normal, known, where)]
+    if len(usual) < FEWEST_HEADS:
+        raise BadInput(
+            f"heads: {len(usual)} found that look ahead and show the skin that the captures show, "
+            f"{FEWEST_HEADS} needed to tell how steep faces are; render more, as scenes/front_faces.toml does"
+        )
+    found = [_steepness(normal[known & where]) for normal, known in known_faces]
+    return float(np.clip(np.mean(usual) / max(np.mean(found), 1e-9), *_RANGE))
+
+
+def _steepness(normal: Array) -> float:
+    """Mean absolute deviation of the slopes across and down from their medians, both added; (P, 3)."""
+    length = np.linalg.norm(normal, axis=1)
+    seen = normal[normal[:, 2] > _STEEPEST * length]
+    slopes = seen[:, :2] / seen[:, 2:]
+    return float(np.abs(slopes - np.median(slopes, axis=0)).mean(axis=0).sum())
+
+
+def _ahead(normal: Array, known: Known, where: Known) -> bool:
+    """Whether a head looks ahead and shows the pixels."""
+    seen = known & where
+    if seen.sum() < _SEEN * where.sum():
+        return False
+    x, y, z = normal[seen].mean(axis=0)
+    return bool(z > 0 and max(abs(x), abs(y)) < np.tan(np.radians(_AHEAD)) * z)

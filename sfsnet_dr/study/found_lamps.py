@@ -14,7 +14,7 @@ import torch
 from sfsnet_dr.apply.methods import NetworkMethod
 from sfsnet_dr.data.dataset import Folders
 from sfsnet_dr.data.listing import FacePhoto, Listing
-from sfsnet_dr.data.mean_normals import mean_normals
+from sfsnet_dr.data.mean_normals import head_normals, mean_normals
 from sfsnet_dr.fit.integrability import vertical_stretch
 from sfsnet_dr.fit.photometric_stereo import FEWEST, fit_pixels, is_valid
 from sfsnet_dr.fit.self_calibration import Guess, Lamps, find_lamps
@@ -29,6 +29,8 @@ Array = npt.NDArray[np.float64]
 #: Pixels of a capture that lamps are found from.
 _SAMPLED: Final = 1000
 _BATCH: Final = 16
+#: Heads that tell how steep faces are.
+_HEADS: Final = 600
 
 
 def with_found_lamps(
@@ -63,9 +65,8 @@ def with_found_lamps(
         on_capture()
     found = find_lamps(guesses)
     found = found.for_stretched(1.0, vertical_stretch([_normals(face, found) for face in read.faces]))
-    if usual is not None:
-        head = usual.movedim(0, -1).double().numpy()
-        deeper = usual_slopes([_normals(face, found) for face in read.faces], head)
+    if heads:
+        deeper = usual_slopes([_normals(face, found) for face in read.faces], head_normals(heads, _HEADS))
         found = found.for_stretched(deeper, deeper)
 
     def placed(photo: FacePhoto) -> FacePhoto:
