@@ -81,5 +81,5 @@ def _ahead(normal: Array, known: Known, where: Known) -> bool:
     seen = known & where
     if seen.sum() < _SEEN * where.sum():
         return False
-    x, y, z = normal[seen].mean(axis=0)
-    return bool(z > 0 and max(abs(x), abs(y)) < np.tan(np.radians(_AHEAD)) * z)
+    mean = normal[seen].mean(axis=0)
+    return bool(np.abs(mean[:2]).max() < np.tan(np.radians(_AHEAD)) * mean[2])
