@@ -65,7 +65,7 @@ def usual_slopes(faces: Sequence[tuple[Array, Known]], heads: Iterable[tuple[Arr
             f"{FEWEST_HEADS} needed to tell how steep faces are; render more, as scenes/front_faces.toml does"
         )
     found = [_steepness(normal[known & where]) for normal, known in known_faces]
-    return float(np.clip(np.mean(usual) / max(np.mean(found), 1e-9), *_RANGE))
+    return float(np.clip(float(np.mean(usual)) / max(float(np.mean(found)), 1e-9), *_RANGE))
 
 
 def _steepness(normal: Array) -> float:
