@@ -83,7 +83,8 @@ class PhotometricStereo:
         arg(
             metavar="DIR...",
             help="Folders of `sfsnet-dr synth`, with --lamps-by: how their heads face on average says which "
-            "way is straight ahead; left out, the network's mistakes about that stay in the lamps.",
+            "way is straight ahead, and how steep they are how deep faces are; left out, the network's "
+            "mistakes about both stay in the lamps.",
         ),
     ] = ()
     check_faces: Annotated[
