@@ -54,7 +54,7 @@ def _sheet(cells: Sequence[Cell], columns: int, shots: Sequence[Shot]) -> bytes:
 
 
 def side_by_side(methods: Sequence[Method], shots: Sequence[Shot]) -> bytes:
-    """One or two photographs with their truth, then normals, albedo and reconstruction of each method."""
+    """Two photographs with their truth; a method a row, named under its normals, albedo, reconstruction."""
     shots = shots[:2]
     cells: list[Cell] = []
     for shot in shots:
@@ -65,7 +65,7 @@ def side_by_side(methods: Sequence[Method], shots: Sequence[Shot]) -> bytes:
             answer = answers(method, [shot])
             word = "" if answer.divided else "reconstruction"
             cells += [
-                (f"{method.name}: normals", _normals(answer, 0, shot)),
+                (method.name, _normals(answer, 0, shot)),
                 ("albedo", _albedo(answer, 0, shot)),
                 (word, _drawn(answer, 0, shot)) if word else _NOTHING,
             ]
