@@ -137,8 +137,8 @@ def _pictures(
             [
                 Figure(
                     side_by_side(methods, shown_first(shots)),
-                    "Photographs, what is known of them, and each method's normals (with its name), albedo and "
-                    "reconstruction (left out where it is the photograph by construction).",
+                    "Photographs, what is known of them, and each method's normals (with its name), albedo "
+                    "and reconstruction (left out where it is the photograph by construction).",
                 )
             ],
         ),
