@@ -80,7 +80,7 @@ def sample_face(seed: int, spec: SceneSpec) -> Face:
 
 def _deepened(vertices: Array, eyes: Array, spec: SceneSpec, streams: Streams) -> Array:
     """A head that is deeper, or flatter, than its model's: slopes times a factor, seen from the front."""
-    if spec.head.depth == (1.0, 1.0):
+    if spec.head.depth == (1.0, 1.0):  # also keeps the last bits of heads that were rendered before
         return vertices
     factor = streams(Stream.DEPTH).uniform(*spec.head.depth)
     eye_level = eyes[:, 2].mean()
