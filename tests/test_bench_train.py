@@ -9,17 +9,20 @@ import torch
 from spheres import write_spheres
 from test_trainer import RECIPE
 
+from sfsnet_dr.base.checks import WorkFailed
 from sfsnet_dr.fit.team import Team
 from sfsnet_dr.study.bench import contest as contests
 from sfsnet_dr.study.bench import train
 from sfsnet_dr.study.bench.contest import Times
+from sfsnet_dr.study.bench.training_steps import StepsApart
 
 
 def test_shares_and_ratios_are_of_whole_steps() -> None:
-    """A step of 3 s, 1 s of it the loss, after 1 s for its data; the plain one takes 7 s."""
+    """A step of 3 s, a third of it the loss, and 1 s for data; the plain one takes 7 s, with kept memory 5."""
     times = {
         "step": Times((3.0, 3.0)),
         "plain": Times((7.0, 7.0)),
+        "plain_kept": Times((5.0, 5.0)),
         "data": Times((1.0, 1.0)),
         "loss": Times((1.0, 1.0)),
     }
@@ -27,6 +30,7 @@ def test_shares_and_ratios_are_of_whole_steps() -> None:
     values = {record.what: record.value for record in records}
     assert values["train.images_per_s"] == RECIPE.batch_size / 4
     assert values["train.ratio.plain_step"] == 2
+    assert values["train.ratio.plain_step_kept"] == 1.5
     assert values["train.share.data"] == values["train.share.loss"] == 0.25
     assert values["train.share.network"] == 0.5
     assert values["train.bfloat16"] == values["train.bfloat16.native"] == values["train.gpu"] == 0
@@ -40,4 +44,13 @@ def test_a_small_bench_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     values = {record.what: record.value for record in records}
     assert values["train.images_per_s"] > 0
     assert values["train.ratio.plain_step"] > 0
+    assert values["train.ratio.plain_step_kept"] > 0
     assert values["train.gpu"] == torch.cuda.is_available()
+
+
+def test_a_process_of_steps_that_fails_is_told(tmp_path: Path) -> None:
+    with (
+        StepsApart(RECIPE, tmp_path / "missing") as steps,
+        pytest.raises(WorkFailed, match="plain steps ended"),
+    ):
+        steps()

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from sfsnet_dr.base.checks import BadInput
-from sfsnet_dr.model.blocks import unit_normal
+from sfsnet_dr.model.blocks import MapHead, to_map, unit_normal
 from sfsnet_dr.model.predict import predict
 from sfsnet_dr.model.sfsnet import SfSNet
 
@@ -79,6 +79,18 @@ def test_layers_stand_in_the_order_of_the_appendix() -> None:
     assert layer_names(model.normal_blocks) == layer_names(model.albedo_blocks) == [*(block * 5), *after]
     assert layer_names(model.normal_head) == ["C128k1s1", *after, "C64k3s1", *after, "C3k1s1"]
     assert layer_names(model.light_features) == ["C128k1s1", *after]
+
+
+@pytest.mark.parametrize("training", [True, False])
+def test_a_head_is_that_of_the_appendix_though_it_interpolates_later(training: bool) -> None:
+    torch.manual_seed(0)
+    head = MapHead(8, 4).double().train(training)
+    head.out.float()
+    x = torch.randn(2, 8, 6, 10, dtype=torch.float64)
+    raised = nn.functional.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False)
+    expected = to_map(head.layers(raised), head.out)
+    # the head's last layer works in float32; features of about 1
+    torch.testing.assert_close(head(x), expected, atol=1e-5, rtol=0)
 
 
 def test_the_two_branches_share_no_weights() -> None:

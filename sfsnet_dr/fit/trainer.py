@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
+from sfsnet_dr.base.allocator import keep_freed_memory
 from sfsnet_dr.base.atomic import output_dir
 from sfsnet_dr.base.checks import BadInput, WorkFailed
 from sfsnet_dr.data.batch import dealt
@@ -64,6 +65,7 @@ def train(
     faces = load_faces(data, recipe.data.view, held_back=recipe.data.held_back)
     with join(recipe.compute.device) as team:
         batches = _batches(recipe, faces, real, folder, team, progress)
+        keep_freed_memory()  # from here on all steps need the same; what loading needed is given back
         run = Run(
             recipe, batches, folder, resume=resume, team=team, tensorboard=tensorboard, start=start,
             metadata=real.metadata,

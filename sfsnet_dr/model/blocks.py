@@ -57,7 +57,8 @@ class MapHead(nn.Module):
     """``BU - C(k1) - C64(k3) - C*3(k1)``: features (B, C, H, W) to a raw map (B, 3, 2H, 2W), float32.
 
     The appendix writes ``CD128(k1)`` for the first convolution without saying what D is; as in the release
-    it is a ``C128(k1)``.
+    it is a ``C128(k1)``. It is computed before the interpolation, which takes a quarter of the products: the
+    two commute, for the weights of an interpolation add up to 1.
     """
 
     def __init__(self, features: int, narrow: int) -> None:
@@ -66,8 +67,11 @@ class MapHead(nn.Module):
         self.out = conv(narrow, 3, 1)
 
     def forward(self, x: Tensor) -> Tensor:
-        x = functional.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False)
-        return to_map(self.layers(x), self.out)
+        mix, *rest = self.layers[0]
+        x = functional.interpolate(mix(x), scale_factor=2, mode="bilinear", align_corners=False)
+        for layer in (*rest, self.layers[1]):
+            x = layer(x)
+        return to_map(x, self.out)
 
 
 def unit_normal(raw: Tensor) -> Tensor:
