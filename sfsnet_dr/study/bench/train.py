@@ -11,13 +11,23 @@ from typing import Any
 import torch
 
 from sfsnet_dr.base.allocator import keep_freed_memory
+from sfsnet_dr.data.dataset import RelitFaces
 from sfsnet_dr.fit.recipe import Recipe, multiplies_bfloat16
 from sfsnet_dr.fit.step import batch_loss, predicted
 from sfsnet_dr.fit.team import Team, join
 from sfsnet_dr.model.outputs import Decomposition
 from sfsnet_dr.report.record import Record, measured
 from sfsnet_dr.study.bench.contest import Times, contest
-from sfsnet_dr.study.bench.training_steps import StepsApart, finished, plainly, relit_faces, stepper
+from sfsnet_dr.study.bench.training_steps import (
+    PRODUCT_SIZE,
+    StepsApart,
+    finished,
+    large_product,
+    plainly,
+    products,
+    relit_faces,
+    stepper,
+)
 
 
 def bench_train(
@@ -28,7 +38,8 @@ def bench_train(
     The plain step is the same network, batch and loss in float32 with the default memory order, on the same
     device in the same run: ``plain`` in a process of its own, as anybody would write it, ``plain_kept`` in
     this one, which keeps freed memory as the trainer does. Photographs of the recipe are left out: they cost
-    less than rendered faces.
+    less than rendered faces. ``share.peak`` is what a step's convolutions and products would take at the
+    speed of one large matrix product in the step's precision, relative to what it took: the roofline.
 
     Args:
         recipe: network, batch size, precision and so on.
@@ -42,14 +53,15 @@ def bench_train(
     recipe = replace(recipe, real=replace(recipe.real, share=0.0))
     with join(recipe.compute.device) as team, StepsApart(plainly(recipe), data) as plain:
         keep_freed_memory()
-        times = contest({"plain": plain, **_contenders(recipe, data, team)}, rounds)
+        batches = relit_faces(recipe, data, team)
+        times = contest({"plain": plain, **_contenders(recipe, batches, team)}, rounds)
+        work = products(recipe, batches.batch(0).image, team)
         fast = recipe.compute.bfloat16(team.device)
         native = multiplies_bfloat16(team.device)
-    return _told(recipe, times, command, fast, native, team)
+    return _told(recipe, times, work, command, fast, native, team)
 
 
-def _contenders(recipe: Recipe, data: Path, team: Team) -> dict[str, Callable[[], Any]]:
-    batches = relit_faces(recipe, data, team)
+def _contenders(recipe: Recipe, batches: RelitFaces, team: Team) -> dict[str, Callable[[], Any]]:
     steps = iter(range(10**9))
     batch = batches.batch(0)
     model = recipe.make_model()
@@ -66,11 +78,12 @@ def _contenders(recipe: Recipe, data: Path, team: Team) -> dict[str, Callable[[]
         "plain_kept": stepper(plainly(recipe), batch, team),
         "data": finished(lambda: batches.batch(next(steps)), team),
         "loss": finished(loss, team),
+        "matmul": large_product(recipe, team),
     }
 
 
 def _told(
-    recipe: Recipe, times: dict[str, Times], command: str, fast: bool, native: bool, team: Team
+    recipe: Recipe, times: dict[str, Times], work: int, command: str, fast: bool, native: bool, team: Team
 ) -> tuple[list[Record], list[str]]:
     step, data, loss = (times[name].rounds for name in ("step", "data", "loss"))
     whole = Times(tuple(a + b for a, b in zip(step, data, strict=True)))
@@ -90,6 +103,7 @@ def _told(
         found = Times(tuple(p / w for p, w in zip(part, whole.rounds, strict=True)))
         return record(f"share.{name}", found.median, "1", found.interval())
 
+    peak = 2 * PRODUCT_SIZE**3 / times["matmul"].median
     network = tuple(a - b for a, b in zip(step, loss, strict=True))
     (ratio, interval), (same, same_interval) = whole.ratio(plain), whole.ratio(kept)
     records = [
@@ -99,6 +113,9 @@ def _told(
         share("data", data),
         share("loss", loss),
         share("network", network),
+        record("flops", 1e-9 * work, "GFLOP"),
+        record("peak", 1e-9 * peak, "GFLOP/s"),
+        share("peak", tuple(work / peak for _ in step)),
         record("batch_size", images, "images"),
         record("gpu", float(team.device.type == "cuda")),
         record("bfloat16", float(fast)),
@@ -118,5 +135,6 @@ def _told(
         f"{images / whole.median:.2f} images/s, {ratio:.2f} x the plain float32 step, "
         f"{same:.2f} x that with freed memory kept",
         f"data {millis['data']}, loss {millis['loss']} of {1e3 * whole.median:.0f} ms a step",
+        f"{100 * work / peak / whole.median:.0f} % of the peak of matrix products, {1e-9 * peak:.0f} GFLOP/s",
     ]
     return records, lines

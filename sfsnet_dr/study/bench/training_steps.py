@@ -11,6 +11,8 @@ from types import TracebackType
 from typing import Any, Final
 
 import torch
+from torch import Tensor
+from torch.utils.flop_counter import FlopCounterMode
 
 from sfsnet_dr.base.checks import WorkFailed
 from sfsnet_dr.data.batch import FaceBatch
@@ -22,6 +24,8 @@ from sfsnet_dr.fit.team import Team, join
 
 #: Lights that images are relit by; their number matters to no time.
 _LIGHTS: Final = 64
+#: Rows and columns of the matrices whose product shows the peak; larger ones are no faster.
+PRODUCT_SIZE: Final = 2048
 #: Seconds that a process has to end.
 _PATIENCE: Final = 10.0
 
@@ -61,6 +65,22 @@ def finished(call: Callable[[], Any], team: Team) -> Callable[[], Any]:
         torch.cuda.synchronize()
 
     return waited
+
+
+def products(recipe: Recipe, image: Tensor, team: Team) -> int:
+    """Multiplications and additions of the convolutions and products of one step on a batch of images."""
+    model = recipe.make_model()
+    team.prepare(model)
+    with FlopCounterMode(display=False) as counter:
+        torch.stack([part.sum() for part in model(image)]).sum().backward()  # type: ignore[no-untyped-call]
+    return counter.get_total_flops()
+
+
+def large_product(recipe: Recipe, team: Team) -> Callable[[], Any]:
+    """The product of two large matrices in the precision of a recipe's step."""
+    kind = torch.bfloat16 if recipe.compute.bfloat16(team.device) else torch.float32
+    left, right = torch.rand(2, PRODUCT_SIZE, PRODUCT_SIZE, device=team.device).to(kind)
+    return finished(lambda: left @ right, team)
 
 
 class StepsApart:
