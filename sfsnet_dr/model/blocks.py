@@ -7,7 +7,7 @@ makes it redundant: parameter counts and layouts then agree with theirs.
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Final, cast
 
 import torch
 from torch import Tensor, nn
@@ -67,11 +67,9 @@ class MapHead(nn.Module):
         self.out = conv(narrow, 3, 1)
 
     def forward(self, x: Tensor) -> Tensor:
-        mix, *rest = self.layers[0]
-        x = functional.interpolate(mix(x), scale_factor=2, mode="bilinear", align_corners=False)
-        for layer in (*rest, self.layers[1]):
-            x = layer(x)
-        return to_map(x, self.out)
+        mix = cast(nn.Sequential, self.layers[0])
+        x = functional.interpolate(mix[0](x), scale_factor=2, mode="bilinear", align_corners=False)
+        return to_map(self.layers[1](mix[1:](x)), self.out)
 
 
 def unit_normal(raw: Tensor) -> Tensor:

@@ -73,7 +73,7 @@ def products(recipe: Recipe, image: Tensor, team: Team) -> int:
     team.prepare(model)
     with FlopCounterMode(display=False) as counter:
         torch.stack([part.sum() for part in model(image)]).sum().backward()  # type: ignore[no-untyped-call]
-    return counter.get_total_flops()
+    return int(counter.get_total_flops())
 
 
 def large_product(recipe: Recipe, team: Team) -> Callable[[], Any]:
