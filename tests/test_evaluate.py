@@ -13,7 +13,8 @@ import torch
 from look_alikes import ANGLES, write_yale_b
 from torch import Tensor
 
-from sfsnet_dr.apply.methods import Answer, FlatNormals, MeanNormals, explained
+from sfsnet_dr.apply.mean_face import MeanAlbedo, MeanNormals, OneAlbedo
+from sfsnet_dr.apply.methods import Answer, FlatNormals, explained
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.cli import main
 from sfsnet_dr.data.surface_labels import SurfaceLabels, light_labels
@@ -79,6 +80,38 @@ def test_the_mean_face_leaves_the_subject_out() -> None:
     assert np.degrees(np.arcsin(answer.normal[1, 0].numpy())) == pytest.approx(20, abs=0.1)
     with pytest.raises(BadInput, match="two are needed"):
         MeanNormals({"a": tilted(0)})
+
+
+def test_the_mean_albedo_leaves_the_subject_out_and_takes_each_as_bright_as_the_others() -> None:
+    normals = {name: tilted(0) for name in "abc"}
+    half = torch.ones(1, 4, 4)
+    half[..., :2] = 3.0
+    even, unknown = torch.ones(1, 4, 4), half.clone()
+    unknown[:, 0] = 0  # half as many pixels say something there
+    method = MeanAlbedo(normals, {"a": half, "b": 10 * even, "c": 0.1 * unknown})
+    images = torch.full((3, 3, 4, 4), 0.4)
+    answer = method(images, torch.ones(3, 1, 4, 4), ["a", "b", "c"])
+    assert not answer.divided
+    # b is .5 everywhere, a and c .75 and .25 where they are known
+    mixed = torch.tensor([0.625, 0.625, 0.375, 0.375])
+    torch.testing.assert_close(answer.albedo[0, 0, 1:], mixed.expand(3, 4))
+    torch.testing.assert_close(answer.albedo[0, 0, 0], torch.full((4,), 0.5))
+    torch.testing.assert_close(answer.albedo[1, 2], torch.tensor([0.75, 0.75, 0.25, 0.25]).expand(4, 4))
+    torch.testing.assert_close(answer.albedo[2], mixed.expand(3, 4, 4))
+
+
+def test_one_albedo_explains_an_evenly_lit_face() -> None:
+    images = torch.full((1, 3, 4, 4), 0.4)
+    images[:, :, 0] = 0.1
+    method = OneAlbedo({"a": tilted(0), "b": tilted(0)})
+    masks = torch.ones(1, 1, 4, 4)
+    masks[:, :, 0] = 0
+    answer = method(images, masks, ["a"])
+    torch.testing.assert_close(answer.albedo, torch.full((1, 3, 4, 4), 0.5))
+    # all normals are the same, so that only the ridge keeps the image from being explained: 1 % of it
+    torch.testing.assert_close(answer.image[:, :, 1:], images[:, :, 1:], atol=0, rtol=0.01)
+    with pytest.raises(BadInput, match="two are needed"):
+        OneAlbedo({"a": tilted(0)})
 
 
 def test_light_of_a_shaded_ball_is_found_and_explains_it() -> None:

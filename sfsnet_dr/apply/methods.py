@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Final, NamedTuple, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor, nn
@@ -20,6 +20,9 @@ from sfsnet_dr.model.outputs import Decomposition
 from sfsnet_dr.model.predict import predict, predict_both_ways
 from sfsnet_dr.render.shading_torch import shading, unit
 from sfsnet_dr.sh.basis_torch import sh_basis
+
+#: Of skin, where nothing says how bright it is.
+MEAN_ALBEDO: Final = 0.5
 
 
 class Answer(NamedTuple):
@@ -146,32 +149,6 @@ class FlatNormals:
         return explained(normal, images, masks)
 
 
-class MeanNormals:
-    """The mean normals of other subjects: what anybody's aligned face looks like, whatever the image shows.
-
-    Args:
-        normals: subject -> normals (3, 128, 128), 0 where they are not known.
-
-    Raises:
-        BadInput: with fewer than two subjects.
-    """
-
-    name = "mean-face"
-
-    def __init__(self, normals: Mapping[str, Tensor]) -> None:
-        if len(normals) < 2:
-            raise BadInput(f"subjects: {len(normals)} found, two are needed for the mean of others")
-        self.normals = dict(normals)
-        self._total = torch.stack(list(self.normals.values())).sum(0)
-
-    def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Answer:
-        """See ``Method``."""
-        sums = [self._total - self.normals.get(subject, torch.zeros(3, 1, 1)) for subject in subjects]
-        total = torch.stack(sums)
-        total[:, 2] += 1e-3  # toward the viewer where nobody's normals are known
-        return explained(unit(total), images, masks)
-
-
 def explained(normal: Tensor, images: Tensor, masks: Tensor, ridge: float = 0.01) -> Answer:
     """Light by least squares under a constant albedo, and the albedo that then explains each image.
 
@@ -179,19 +156,32 @@ def explained(normal: Tensor, images: Tensor, masks: Tensor, ridge: float = 0.01
         normal: unit vectors, (B, 3, H, W).
         images: linear, (B, 3, H, W).
         masks: (B, 1, H, W); pixels that count.
+        ridge: see ``fitted_light``.
+    """
+    constant = torch.full_like(images[:, :1], MEAN_ALBEDO)
+    return divided(normal, fitted_light(normal, constant, images, masks, ridge), images)
+
+
+def fitted_light(
+    normal: Tensor, albedo: Tensor, images: Tensor, masks: Tensor, ridge: float = 0.01
+) -> Tensor:
+    """Light (B, 27) by least squares, for which albedo times shading is most like the images.
+
+    Args:
+        normal: unit vectors, (B, 3, H, W).
+        albedo: the same for all colours, (B, 1, H, W).
+        images: linear, (B, 3, H, W).
+        masks: (B, 1, H, W); pixels that count.
         ridge: penalty on the coefficients, in shares of the mean square of the basis.
     """
-    basis = sh_basis(normal, LIGHT_ORDER, dim=1).double()
+    basis = albedo.double() * sh_basis(normal, LIGHT_ORDER, dim=1).double()
     weight = masks.double()
     gram = torch.einsum("bkhw,blhw->bkl", basis * weight, basis)
     right = torch.einsum("bkhw,bchw->bck", basis * weight, images.double())
     scale = gram.diagonal(dim1=1, dim2=2).mean(1)[:, None, None]
-    gram = (
-        gram + ridge * scale * torch.eye(gram.shape[-1], dtype=gram.dtype) + 1e-9 * torch.eye(gram.shape[-1])
-    )
-    light = torch.linalg.solve(gram[:, None], right[..., None])[..., 0]
-    light = (light / 0.5).reshape(len(images), -1).float()  # the albedo is .5 on average
-    return divided(normal, light, images)
+    gram = gram + (ridge * scale + 1e-9) * torch.eye(gram.shape[-1], dtype=gram.dtype)
+    light: Tensor = torch.linalg.solve(gram[:, None], right[..., None])
+    return light.reshape(len(images), -1).float()
 
 
 def divided(normal: Tensor, light: Tensor, images: Tensor) -> Answer:

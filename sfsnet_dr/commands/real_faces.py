@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from sfsnet_dr.report.record import Record
 
 Database = Literal["yale-b", "photoface", "multipie", "celeba", "folder"]
-Baseline = Literal["flat", "mean-face", "3dmm", "sirfs"]
+Baseline = Literal["flat", "mean-face", "one-albedo", "mean-albedo", "3dmm", "sirfs"]
 DatabaseFolder = Positional[
     Annotated[Path, arg(metavar="DIR", help="Its folder; the head of data/NAME.py says what is in it.")]
 ]

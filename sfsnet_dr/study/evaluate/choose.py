@@ -11,14 +11,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from sfsnet_dr.apply.methods import FlatNormals, MeanNormals, Method, NetworkMethod
+from sfsnet_dr.apply.mean_face import MeanAlbedo, MeanNormals, OneAlbedo
+from sfsnet_dr.apply.methods import FlatNormals, Method, NetworkMethod
 from sfsnet_dr.apply.model_fit import ModelFit
 from sfsnet_dr.apply.shading_search import ShadingSearch
 from sfsnet_dr.base.checks import BadInput, nearest
@@ -74,7 +75,9 @@ def methods_for(
     """
     makers: dict[str, Callable[[], Method]] = {
         FlatNormals.name: FlatNormals,
-        MeanNormals.name: lambda: _mean_face(shots),
+        MeanNormals.name: lambda: MeanNormals(_by_subject(shots, "normal")),
+        OneAlbedo.name: lambda: OneAlbedo(_by_subject(shots, "normal")),
+        MeanAlbedo.name: lambda: _mean_albedo(shots),
         ModelFit.name: lambda: _model_fit(shots, wanted, listing),
         ShadingSearch.name: ShadingSearch,
     }
@@ -106,13 +109,21 @@ def _add(methods: list[Method], method: Method, source: str) -> None:
     methods.append(method)
 
 
-def _mean_face(shots: Sequence[Shot]) -> MeanNormals:
-    """Of normals that are known, means of each subject over its captures, 0 outside of their masks."""
+def _mean_albedo(shots: Sequence[Shot]) -> MeanAlbedo:
+    colours = _by_subject(shots, "albedo")
+    return MeanAlbedo(
+        _by_subject(shots, "normal"), {name: each.mean(0, keepdim=True) for name, each in colours.items()}
+    )
+
+
+def _by_subject(shots: Sequence[Shot], kind: Literal["normal", "albedo"]) -> dict[str, Tensor]:
+    """Maps that are known, means of each subject over its captures, 0 outside of their masks."""
     captures: dict[str, dict[str, Tensor]] = {}
     for shot in shots:
-        if shot.normal is not None and shot.capture not in captures.setdefault(shot.subject, {}):
-            captures[shot.subject][shot.capture] = shot.normal * (shot.mask > 0.5)
-    return MeanNormals({name: torch.stack(list(each.values())).mean(0) for name, each in captures.items()})
+        known: Tensor | None = getattr(shot, kind)
+        if known is not None and shot.capture not in captures.setdefault(shot.subject, {}):
+            captures[shot.subject][shot.capture] = known * (shot.mask > 0.5)
+    return {name: torch.stack(list(each.values())).mean(0) for name, each in captures.items() if each}
 
 
 def _model_fit(shots: Sequence[Shot], wanted: Wanted, listing: Listing | None) -> ModelFit:
