@@ -45,6 +45,12 @@ def test_noise_and_wrong_pixels_move_it_little() -> None:
     assert vertical_stretch(faces) == pytest.approx(1.15, abs=0.05)
 
 
+def test_noise_in_both_slopes_does_not_draw_the_ratio_to_1() -> None:
+    faces = [surface(seed, noise=0.02) for seed in range(4)]
+    flat = [(normal / np.array([1, 1.15, 1]), mask) for normal, mask in faces]
+    assert vertical_stretch(flat) == pytest.approx(1.15, abs=0.01)  # 1.131 without the average
+
+
 def test_what_it_cannot_tell_stays() -> None:
     """Depth and a stretch of both axes keep the rule of surfaces; faces of few pixels say nothing."""
     normal, mask = surface(0)

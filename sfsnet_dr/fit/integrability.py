@@ -18,7 +18,7 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import binary_erosion
+from scipy.ndimage import binary_erosion, gaussian_filter
 from scipy.optimize import minimize_scalar
 
 Array = npt.NDArray[np.float64]
@@ -30,6 +30,11 @@ _EXACT: Final = 0.002
 _STEEPEST: Final = 0.25
 #: A difference of so many typical second derivatives is an outlier: an edge of hair, a wrong normal.
 _SCALE: Final = 0.5
+#: Pixels over which normals are averaged first: noise looks like slopes across and down alike, which draws the
+#: ratio of flattened normals to 1.
+_SMOOTH: Final = 1.0
+#: Share of that average which must be known.
+_WHOLE: Final = 0.95
 #: Pixels of a face below which it says nothing.
 _FEWEST: Final = 100
 
@@ -53,6 +58,7 @@ def vertical_stretch(faces: Sequence[tuple[Array, npt.NDArray[np.bool_]]]) -> fl
 
 def _slopes(normal: Array, mask: npt.NDArray[np.bool_]) -> tuple[Array, Array]:
     """dp/dy and dq/dx at the pixels whose neighbours are known too, (P,) each."""
+    normal, mask = _averaged(normal, mask)
     length = np.linalg.norm(normal, axis=-1)
     known = mask & (normal[..., 2] > _STEEPEST * length) & (length > 0)
     depth = np.where(known, normal[..., 2], 1.0)
@@ -61,6 +67,14 @@ def _slopes(normal: Array, mask: npt.NDArray[np.bool_]) -> tuple[Array, Array]:
     across = (q[1:-1, 2:] - q[1:-1, :-2]) / 2
     inner = binary_erosion(known, iterations=2)[1:-1, 1:-1]
     return down[inner], across[inner]
+
+
+def _averaged(normal: Array, mask: npt.NDArray[np.bool_]) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """Averages over what is known around each pixel, and where that is nearly everything."""
+    weight = gaussian_filter(mask.astype(np.float64), _SMOOTH)
+    planes = [gaussian_filter(np.where(mask, plane, 0.0), _SMOOTH) for plane in np.moveaxis(normal, -1, 0)]
+    total = np.stack(planes, -1)
+    return total / np.maximum(weight, 1e-6)[..., None], mask & (weight > _WHOLE)
 
 
 def _misfit(down: Array, across: Array, ratio: float) -> float:
