@@ -30,8 +30,8 @@ _EXACT: Final = 0.002
 _STEEPEST: Final = 0.25
 #: A difference of so many typical second derivatives is an outlier: an edge of hair, a wrong normal.
 _SCALE: Final = 0.5
-#: Pixels over which normals are averaged first: noise looks like slopes across and down alike, which draws the
-#: ratio of flattened normals to 1.
+#: Pixels over which normals are averaged first: noise looks like slopes across and down alike, which draws
+#: the ratio of flattened normals to 1.
 _SMOOTH: Final = 1.0
 #: Share of that average which must be known.
 _WHOLE: Final = 0.95
