@@ -204,6 +204,25 @@ def test_how_steep_faces_are_is_told_by_heads(
     assert told[1] < 1.0, told
 
 
+def test_heads_tell_what_the_measure_of_a_stretch_makes_of_surfaces(
+    tmp_path: Path, oracle: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where that measure finds heads 5 % too steep down a face, it is to find as much of people."""
+    read = read_captures(list_yale_b(write_yale_b(tmp_path / "yale", 2)))
+    normals = crop_normals()
+    usual = torch.from_numpy(np.moveaxis(normals, -1, 0)).float()
+    monkeypatch.setattr(found_lamps, "mean_normals", lambda heads: usual)
+    monkeypatch.setattr(found_lamps, "usual_slopes", lambda faces, heads: 1.0)
+    slopes = []
+    for factor in (1.0, 1.05):
+        head = (normals * np.array([1, factor, 1]), np.ones(normals.shape[:2], bool))
+        monkeypatch.setattr(found_lamps, "head_normals", lambda heads, most, head=head: [head] * most)
+        listing = with_found_lamps(read, "skipnet", ("heads",)).listing
+        slopes.append([p.direction[1] / p.direction[2] for p in listing.photos if p.direction is not None])
+    # Steeper faces and lamps nearer to the horizontal explain the same pictures.
+    np.testing.assert_allclose(np.array(slopes[1]) * 1.05, slopes[0], atol=0.01)  # .002 by the search's end
+
+
 def test_a_network_is_asked(tmp_path: Path) -> None:
     """Any network answers something; a random one is no help, which the numbers show."""
     torch.manual_seed(0)
