@@ -24,6 +24,7 @@ from sfsnet_dr.model.weights import save_weights
 from sfsnet_dr.render.shading_torch import shading
 from sfsnet_dr.study.evaluate.labelled import labelled
 from sfsnet_dr.study.evaluate.measure import measure, scaled_rms
+from sfsnet_dr.study.evaluate.page import alike_as_one
 from sfsnet_dr.study.evaluate.shots import Collection
 from sfsnet_dr.study.evaluate.summary import normal_statistics, records_of
 
@@ -207,3 +208,17 @@ def test_the_command_writes_records_table_and_page(
     assert len(ANGLES) == 12
     assert main([*arguments[:-3], "--out", str(out), "--weights", str(weights), str(weights)]) == 2
     assert "would be called" in capsys.readouterr().err.strip().splitlines()[-1]
+
+
+def test_lines_that_lie_on_each_other_are_drawn_once() -> None:
+    lines: dict[str, list[float | None]] = {
+        "flat": [3.0, None],
+        "mean-face": [1.0, 2.0],
+        "net": [1.0, 2.5],
+        "mean-albedo": [1.0, 2.0],
+    }
+    assert alike_as_one(lines) == {
+        "flat": [3.0, None],
+        "mean-face, mean-albedo": [1.0, 2.0],
+        "net": [1.0, 2.5],
+    }

@@ -102,10 +102,12 @@ def _by_group(data: str, names: Sequence[str], records: Sequence[Record]) -> lis
     values = {record.what: record.value for record in records}
 
     def lines(keys: Sequence[str]) -> dict[str, list[float | None]]:
-        return {
-            name: [values.get(f"{dotted(data)}.{dotted(name)}.normals.{key}.mean_deg") for key in keys]
-            for name in names
-        }
+        return alike_as_one(
+            {
+                name: [values.get(f"{dotted(data)}.{dotted(name)}.normals.{key}.mean_deg") for key in keys]
+                for name in names
+            }
+        )
 
     bins = [(f"{low} to {min(high, 180)}", bin_name(low, high)) for low, high in BINS]
     regions = [(name, region_name(name)) for name in REGIONS]
@@ -125,6 +127,14 @@ def _by_group(data: str, names: Sequence[str], records: Sequence[Record]) -> lis
             )
             found.append(Figure(png, caption))
     return found
+
+
+def alike_as_one(lines: Mapping[str, list[float | None]]) -> dict[str, list[float | None]]:
+    """Lines by name, those that lie on each other under all their names: methods may share their normals."""
+    names: dict[tuple[float | None, ...], list[str]] = {}
+    for name, values in lines.items():
+        names.setdefault(tuple(values), []).append(name)
+    return {", ".join(shared): list(values) for values, shared in names.items()}
 
 
 def _pictures(
