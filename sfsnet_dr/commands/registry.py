@@ -19,7 +19,7 @@ from sfsnet_dr.commands.stability import Stability
 from sfsnet_dr.commands.stages import Stages
 from sfsnet_dr.commands.start import Demo, Doctor
 from sfsnet_dr.commands.validation import Validate
-from sfsnet_dr.commands.weights import WeightsCheck, WeightsList, WeightsPack
+from sfsnet_dr.commands.weights import WeightsCheck, WeightsList, WeightsMean, WeightsPack
 
 #: Commands by the words on the command line, with the line that the overview shows.
 COMMANDS: Final[dict[str, tuple[type[Command], str]]] = {
@@ -39,6 +39,7 @@ COMMANDS: Final[dict[str, tuple[type[Command], str]]] = {
     "weights list": (WeightsList, "Name the trained networks that come with the package"),
     "weights check": (WeightsCheck, "Measure them and compare with their cards"),
     "weights pack": (WeightsPack, "Keep a network's weights in eight bits"),
+    "weights mean": (WeightsMean, "Average networks that were trained on from one another"),
     "validate": (Validate, "Measure the SH renderer against the path tracer"),
     "worst-light": (WorstLight, "Find the light under which the SH renderer is most wrong"),
     "stability": (Stability, "Put hard cases to every SH renderer and the loss"),

@@ -93,3 +93,39 @@ class WeightsPack:
         save_weights(self.out, load_weights(self.weights), metadata, eight_bit=True)
         size = measured("weights.bytes", self.out.stat().st_size, "B", command=command_line())
         return of_records([size], f"written: {self.out}")
+
+
+@dataclass(frozen=True)
+class WeightsMean:
+    """Average networks that were trained on from one another: often better than each of them.
+
+    What the last file says of its training is kept, and a checksum and the share of every file.
+
+    Example: sfsnet-dr weights mean before.safetensors after.safetensors --shares 3 7 --out mean.safetensors
+    """
+
+    weights: Positional[
+        Annotated[tuple[Path, ...], arg(metavar="FILE", help="Weights of one kind of network.")]
+    ]
+    out: Annotated[Path, arg(metavar="FILE", help="File to write.")]
+    shares: Annotated[
+        tuple[float, ...], arg(metavar="SHARE", help="Of each file, in any unit; left out, equal ones.")
+    ] = ()
+    as_json: Json = False
+
+    def run(self) -> Result:
+        from sfsnet_dr.base.provenance import sha256
+        from sfsnet_dr.fit.weight_mean import mean_weights
+        from sfsnet_dr.model.shipped import weights_path
+        from sfsnet_dr.model.weights import read_metadata, save_weights
+        from sfsnet_dr.report.record import measured
+
+        model = mean_weights(self.weights, self.shares)
+        shares = self.shares or (1.0,) * len(self.weights)
+        parts = [
+            {"sha256": sha256(weights_path(path)), "share": share}
+            for path, share in zip(self.weights, shares, strict=True)
+        ]
+        save_weights(self.out, model, read_metadata(self.weights[-1]) | {"mean_of": parts})
+        size = measured("weights.bytes", self.out.stat().st_size, "B", command=command_line())
+        return of_records([size], f"written: {self.out}")
