@@ -34,8 +34,10 @@ def face(subject: str, size: int = SIZE) -> SurfaceLabels:
     )  # fmt: skip
 
 
-def write_faces(folder: Path, subjects: tuple[str, ...] = SUBJECTS, size: int = SIZE) -> Path:
+def write_faces(
+    folder: Path, subjects: tuple[str, ...] = SUBJECTS, size: int = SIZE, lamps_by: str = ""
+) -> Path:
     folder.mkdir(parents=True)
     rows = {name: {"subject": name, "sha256": write_surface(folder, face(name, size))} for name in subjects}
-    write_index(folder, "balls", {"oblique": 0.0, "strength": {}}, rows, {})
+    write_index(folder, "balls", {"oblique": 0.0, "strength": {}, "lamps_by": lamps_by}, rows, {})
     return folder

@@ -19,6 +19,7 @@ from sfsnet_dr.data.batch import FaceBatch
 from sfsnet_dr.data.mixture import MixedBatch, RealOptions
 from sfsnet_dr.data.surface_faces import (
     USUAL_ALBEDO,
+    IdentitySplit,
     SurfaceFaces,
     SurfaceOptions,
     fold_of,
@@ -27,6 +28,7 @@ from sfsnet_dr.data.surface_faces import (
     split_subjects,
 )
 from sfsnet_dr.data.view import View
+from sfsnet_dr.fit.real_sources import real_part
 from sfsnet_dr.fit.recipe import ComputeRecipe, ModelRecipe, Recipe, read_recipe
 from sfsnet_dr.fit.step import training_step
 from sfsnet_dr.fit.trainer import train
@@ -185,6 +187,38 @@ def test_a_fine_tuning_is_resumed_to_the_bit_and_tells_its_split(
     other = replace(RECIPE, surfaces=replace(RECIPE.surfaces, fold=1))
     with pytest.raises(BadInput, match=r"has learnt from .*, whom this fold holds back"):
         train(other, spheres, tmp_path / "o", surfaces=surfaces, start=whole.weights, progress=False)
+
+
+def test_one_part_holds_nobody_back(surfaces: Path) -> None:
+    faces, split = load_learnt(surfaces, SurfaceOptions(share=0.5, folds=1))
+    assert [face.subject for face in faces] == list(split.learnt) == list(SUBJECTS)
+    assert split.held_back == ()
+
+
+def test_weights_tell_whose_pictures_and_whose_truth_they_know(surfaces: Path, tmp_path: Path) -> None:
+    """Pictures of those held back may have been learnt from, their truth may not; truth is never forgotten."""
+
+    def weights(folds: int, fold: int, lamps_by: str) -> Path:
+        split = split_subjects(SUBJECTS, SurfaceOptions(folds=folds, fold=fold), "balls")
+        path = tmp_path / f"{folds}-{fold}-{lamps_by}.safetensors"
+        save_weights(path, RECIPE.make_model(), {"surfaces": replace(split, lamps_by=lamps_by).metadata})
+        return path
+
+    def begun(start: Path, surfaces: Path = surfaces) -> IdentitySplit | None:
+        return read_split(real_part(RECIPE, None, surfaces, start).metadata)
+
+    dealt = split_subjects(SUBJECTS, RECIPE.surfaces, "balls")
+    assert begun(weights(1, 0, "skipnet")) == replace(dealt, seen=dealt.held_back)
+    assert begun(weights(2, 0, "skipnet")) == begun(weights(2, 0, "")) == dealt
+    with pytest.raises(BadInput, match=r"has learnt from .*, whom this fold holds back"):
+        begun(weights(2, 1, ""))
+    found = write_faces(tmp_path / "found", lamps_by="skipnet")
+    with pytest.raises(BadInput, match=r"has learnt from .*, whom this fold holds back"):
+        begun(weights(1, 0, "skipnet"), found)
+    with pytest.raises(
+        BadInput, match=r"has learnt the true normals of .*; start from weights without truth"
+    ):
+        begun(weights(2, 0, ""), found)
 
 
 def test_bad_fine_tunings_are_told(surfaces: Path, spheres: Path, tmp_path: Path) -> None:

@@ -24,11 +24,11 @@ from sfsnet_dr.study.evaluate.summary import normal_statistics
 from sfsnet_dr.study.evaluate.unseen import strangers, told, unseen
 
 
-def tuned(folder: Path, learnt: tuple[str, ...], lamps_by: str = "") -> Path:
+def tuned(folder: Path, learnt: tuple[str, ...], lamps_by: str = "", by_sight: tuple[str, ...] = ()) -> Path:
     """Weights that say that they have learnt from some subjects."""
     torch.manual_seed(0)
     held = tuple(name for name in SUBJECTS if name not in learnt)
-    split = IdentitySplit("balls", 4, 1, learnt, held, lamps_by)
+    split = IdentitySplit("balls", 4, 1, learnt, held, lamps_by, by_sight)
     path = folder / "ft.safetensors"
     save_weights(path, SfSNet(2, 2, 1), {"recipe": {"data": {"size": 32}}, "surfaces": split.metadata})
     return path
@@ -47,6 +47,10 @@ def test_nobody_learnt_from_is_left_for_a_fine_tuned_network(tmp_path: Path) -> 
     assert unseen(methods, collection).subjects == list(SUBJECTS[4:])
     [note] = told(methods, collection)
     assert "measured on a5, a6 only: 8 of 24 photographs" in note
+    assert "without labels" not in note
+    by_sight, _ = methods_for(shots, Wanted(("flat",), (tuned(tmp_path, SUBJECTS[:4], "", SUBJECTS[5:]),)))
+    [note] = told(by_sight, collection)
+    assert "It had learnt from pictures of a6 without labels" in note
     methods, _ = methods_for(shots, Wanted(("flat",), (tuned(tmp_path, SUBJECTS),)))
     with pytest.raises(BadInput, match="nobody is left to measure on"):
         unseen(methods, collection)

@@ -2,7 +2,7 @@
 
 Who is held back follows from the subject's name alone: of ``folds`` equal parts of all hashes of names it is
 part ``fold``. So nobody changes sides when subjects are added or left out, and with every fold trained once
-everybody is measured once by a network that never saw them.
+everybody is measured once by a network that was never told their normals.
 
 The albedo of such labels is known up to a factor (the lamps' absolute strength is not known) and grey where
 the pictures are. The median capture is given the albedo of usual skin; ``free_scale`` says to the loss that
@@ -49,8 +49,8 @@ class SurfaceOptions:
         roll, scale, shift: greatest turn within the image in degrees, relative change of size, and move as a
             share of the image's width, each either way: they keep a network from knowing few people by where
             their features are.
-        folds: parts that all subjects are split into by their names.
-        fold: the part that is held back, 0 to folds - 1.
+        folds: parts that all subjects are split into by their names; 1 for none, everybody is learnt from.
+        fold: the part that is held back, 0 to folds - 1; means nothing with one part.
 
     Raises:
         BadInput: for a value out of its range.
@@ -70,7 +70,7 @@ class SurfaceOptions:
             "share": (0, 1),
             "flip": (0, 1),
             "exposure": (0, 4),
-            "folds": (2, 1000),
+            "folds": (1, 1000),
         }
         ranges |= {"fold": (0, self.folds - 1), "roll": (0, 45), "scale": (0, 0.5), "shift": (0, 0.25)}
         for name, (least, most) in ranges.items():
@@ -107,9 +107,10 @@ class IdentitySplit:
         database: whose names these are.
         folds, fold: see ``SurfaceOptions``.
         learnt: subjects trained on.
-        held_back: subjects that training never sees.
+        held_back: subjects whose labels training never sees.
         lamps_by: the network that helped to find where the lamps were; empty where the database told it, and
             the labels are its truth.
+        seen: those held back whose pictures the network had learnt from before, without their truth.
     """
 
     database: str
@@ -118,6 +119,7 @@ class IdentitySplit:
     learnt: tuple[str, ...]
     held_back: tuple[str, ...]
     lamps_by: str = ""
+    seen: tuple[str, ...] = ()
 
     @property
     def metadata(self) -> dict[str, Any]:
@@ -137,6 +139,7 @@ def read_split(metadata: dict[str, Any]) -> IdentitySplit | None:
         tuple(found["learnt"]),
         tuple(found["held_back"]),
         found.get("lamps_by", ""),
+        tuple(found.get("seen", ())),
     )
 
 
@@ -144,9 +147,11 @@ def split_subjects(subjects: Iterable[str], options: SurfaceOptions, database: s
     """Deal subjects to training and measuring.
 
     Raises:
-        BadInput: with fewer than two subjects, or if all or none would be held back.
+        BadInput: with fewer than two subjects, or if all or none would be held back, unless ``folds`` is 1.
     """
     names = sorted(set(subjects))
+    if options.folds == 1:
+        return IdentitySplit(database, 1, 0, tuple(names), ())
     if len(names) < 2:
         raise BadInput(f"surfaces: {len(names)} subject found, two are needed to hold one back")
     held = [name for name in names if fold_of(name, options.folds) == options.fold]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -60,7 +60,7 @@ def real_part(
 
     Raises:
         BadInput: if folders and the recipe's shares do not belong together, for unusable labels, or if
-            ``start`` has learnt from somebody who is to be held back.
+            ``start`` knows of somebody what it must not, see ``_begun``.
     """
     _together("real.share", recipe.real.share, labels, "--labels DIR (see `sfsnet-dr pseudo-label`)")
     _together(
@@ -80,9 +80,9 @@ def real_part(
             )
         )
     if surfaces is not None:
-        faces, split = load_learnt(surfaces, recipe.surfaces, recipe.data.view)
+        faces, dealt = load_learnt(surfaces, recipe.surfaces, recipe.data.view)
+        split = _begun(dealt, start)
         captures = recipe.surfaces.count(recipe.batch_size)
-        _check_start(start, split)
         sources.append(
             Unopened(
                 captures,
@@ -110,11 +110,27 @@ def _check_crop(labels: Path | str, found: int, wanted: int) -> None:
         )
 
 
-def _check_start(start: Path | None, split: IdentitySplit) -> None:
-    """Refuse weights that have seen whom the split holds back."""
+def _begun(split: IdentitySplit, start: Path | None) -> IdentitySplit:
+    """The split of a training that goes on from weights: whom it holds back may be known to them by sight.
+
+    Pictures without labels may be learnt from before true labels of others are: both stay out of what is
+    held back, and the split tells. Strangers are to be strangers, though, and truth stays told: labels with
+    lamps that were found do not go on from somebody's truth.
+
+    Raises:
+        BadInput: if the weights have learnt the truth of somebody held back, or pictures of somebody who is
+            to be a stranger, or the truth of anybody where the labels are none.
+    """
     before = None if start is None else read_split(read_metadata(start))
     if before is None or before.database != split.database:
-        return
-    seen = sorted(set(before.learnt) & set(split.held_back))
-    if seen:
-        raise BadInput(f"{start}: has learnt from {', '.join(seen)}, whom this fold holds back")
+        return split
+    known = sorted((set(before.learnt) | set(before.seen)) & set(split.held_back))
+    by_sight = bool(before.lamps_by) and not split.lamps_by
+    if known and not by_sight:
+        raise BadInput(f"{start}: has learnt from {', '.join(known)}, whom this fold holds back")
+    if split.lamps_by and not before.lamps_by:
+        raise BadInput(
+            f"{start}: has learnt the true normals of {', '.join(before.learnt)}, which the weights would no "
+            f"longer tell after labels by {split.lamps_by}; start from weights without truth"
+        )
+    return replace(split, seen=tuple(known))

@@ -59,10 +59,16 @@ def told(methods: Sequence[Method], collection: Collection) -> list[str]:
     for method in methods:
         split, left = _split(method), unseen([method], collection)
         if split is not None and left is not collection:
+            by_sight = sorted(set(split.seen).intersection(left.subjects))
             notes.append(
                 f"{method.name} was fine-tuned on other subjects of {split.database} (fold {split.fold} of "
                 f"{split.folds} held back) and is measured on {', '.join(left.subjects)} only: "
                 f"{len(left.shots)} of {len(collection.shots)} photographs."
+                + (
+                    f" It had learnt from pictures of {', '.join(by_sight)} without labels."
+                    if by_sight
+                    else ""
+                )
             )
         elif split is not None and (seen := set(split.learnt).intersection(collection.subjects)):
             others = sorted(set(collection.subjects) - seen)
