@@ -196,7 +196,7 @@ def test_one_part_holds_nobody_back(surfaces: Path) -> None:
 
 
 def test_weights_tell_whose_pictures_and_whose_truth_they_know(surfaces: Path, tmp_path: Path) -> None:
-    """Pictures of those held back may have been learnt from, their truth may not; truth is never forgotten."""
+    """Pictures of those held back may have been learnt from, their truth may not; truth stays told."""
 
     def weights(folds: int, fold: int, lamps_by: str) -> Path:
         split = split_subjects(SUBJECTS, SurfaceOptions(folds=folds, fold=fold), "balls")
