@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -158,6 +159,28 @@ def test_albedo_is_measured_after_the_best_factor() -> None:
     assert scaled_rms(np.zeros(3), true) == pytest.approx(1)
     # Best constant for 1, 2, 3 is 2: errors 1, 0, 1 against squares 14.
     assert scaled_rms(np.ones(3), true) == pytest.approx(np.sqrt(2 / 14))
+
+
+def test_albedo_is_told_apart_where_the_truth_is_sure() -> None:
+    """Half of the face is three times as bright, and its truth unsure: a constant errs there alone."""
+    plain = face("a", 0, [FRONT])
+    bright = torch.ones(1, 4, 4, dtype=torch.bool)
+    bright[:, 2:] = False
+    unsure = replace(
+        plain,
+        albedo=torch.where(bright, 1.5, 0.5),
+        confidence=torch.where(bright, 0.89, 0.91),
+    )
+    collection = collected(unsure)
+    found = measure(FlatNormals(), collection.shots)
+    (errors,) = found.images
+    # Best constant for 1 and 3 is 2: errors 1 and 1 against squares 1 and 9.
+    assert errors.albedo == pytest.approx(np.sqrt(2 / 10), abs=1e-4)
+    assert errors.albedo_sure == pytest.approx(0, abs=1e-4)
+    records = {record.what for record in records_of(collection, found, "")}
+    assert "yale_b.flat.albedo.sure.scaled_rms" in records
+    (nowhere,) = measure(FlatNormals(), collected(replace(plain, confidence=0 * plain.mask)).shots).images
+    assert nowhere.albedo_sure is None
 
 
 def test_reconstruction_is_measured_in_8_bit_units() -> None:

@@ -30,6 +30,8 @@ TRUTH: Final = (
 _REACHED, _SHADOWED = 0.1, 0.5
 #: A pixel shines if it has this share of its albedo more than a matt one.
 _SHINES: Final = 0.25
+#: Confidence from which on the truth is called sure: its normals have a standard error below 1.7 degrees.
+_SURE: Final = 0.9
 
 
 def labelled(
@@ -71,6 +73,7 @@ def _shot(face: SurfaceLabels, row: int) -> Shot:
         direction=direction / np.linalg.norm(direction),
         normal=face.normal,
         albedo=face.albedo.expand(3, -1, -1),
+        sure=face.confidence[0].numpy() >= _SURE,
         causes=light_causes(face, row),
     )
 

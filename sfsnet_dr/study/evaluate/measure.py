@@ -35,6 +35,7 @@ class ImageErrors:
         coefficients: estimated shading coefficients, 27.
         normals: see ``NormalSums``.
         albedo: RMS error relative to the true albedo's RMS, after the best factor.
+        albedo_sure: the same where the truth is sure, which leaves out brows, lips, beards and folds.
         mae, rmse: of the reconstruction, 8-bit sRGB units.
         delta_e: mean Delta E 2000 of the reconstruction; of colour photographs only.
         light: length of the error of the light's coefficients relative to theirs, after the best factor.
@@ -45,6 +46,7 @@ class ImageErrors:
     coefficients: Array = field(repr=False)
     normals: NormalSums | None = None
     albedo: float | None = None
+    albedo_sure: float | None = None
     mae: float | None = None
     rmse: float | None = None
     delta_e: float | None = None
@@ -151,6 +153,7 @@ def _errors(method: str, shot: Shot, answer: Answer, index: int) -> ImageErrors:
         coefficients=light,
         normals=None if shot.normal is None else _sums(normal, shot, mask),
         albedo=None if shot.albedo is None else scaled_rms(albedo, _pixels(shot.albedo, mask)),
+        albedo_sure=_where_sure(albedo, shot, mask),
         mae=mae_8bit(*drawn) if tells else None,
         rmse=rmse_8bit(*drawn) if tells else None,
         delta_e=float(delta_e_2000(np.clip(image, 0, 1), true).mean()) if tells and not shot.grey else None,
@@ -159,6 +162,12 @@ def _errors(method: str, shot: Shot, answer: Answer, index: int) -> ImageErrors:
         if direction is None
         else float(angles_deg(light_direction(light[None]), direction[None])[0]),
     )
+
+
+def _where_sure(albedo: Array, shot: Shot, mask: npt.NDArray[np.bool_]) -> float | None:
+    if shot.albedo is None or shot.sure is None or not (shot.sure & mask).any():
+        return None
+    return scaled_rms(albedo[shot.sure[mask]], _pixels(shot.albedo, mask & shot.sure))
 
 
 def _sums(normal: Array, shot: Shot, mask: npt.NDArray[np.bool_]) -> NormalSums:

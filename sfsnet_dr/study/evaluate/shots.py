@@ -38,6 +38,7 @@ class Shot:
         coefficients: shading coefficients of its light, 27.
         normal: (3, S, S).
         albedo: (3, S, S), up to a factor.
+        sure: where the truth's own confidence is high, (S, S) of bool; None where no confidence is known.
         causes: what may make it hard, by name, for the explanation of large errors; percent of the skin where
             nothing else is said.
     """
@@ -54,6 +55,7 @@ class Shot:
     coefficients: Array | None = None
     normal: Tensor | None = None
     albedo: Tensor | None = None
+    sure: npt.NDArray[np.bool_] | None = None
     causes: Mapping[str, float] = field(default_factory=dict)
 
 

@@ -24,6 +24,7 @@ BINS: Final = ((0, 12), (12, 25), (25, 50), (50, 77), (77, 181))
 #: Means over photographs: the record's name, the errors' field, the unit.
 _MEANS: Final = (
     ("albedo.scaled_rms", "albedo", "1"),
+    ("albedo.sure.scaled_rms", "albedo_sure", "1"),
     ("recon.mae", "mae", "8-bit sRGB"),
     ("recon.rmse", "rmse", "8-bit sRGB"),
     ("recon.delta_e", "delta_e", "Delta E 2000"),

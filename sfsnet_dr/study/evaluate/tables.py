@@ -54,12 +54,14 @@ LAYOUTS: Final = (
     Layout(
         (
             ("albedo.scaled_rms", "albedo", 3),
+            ("albedo.sure.scaled_rms", "where truth is sure", 3),
             ("recon.mae", "MAE", 2),
             ("recon.rmse", "RMSE", 2),
             ("recon.delta_e", "Delta E 2000", 2),
             _SPEED,
         ),
-        "Albedo: RMS error relative to the true RMS, after the best factor. Reconstruction: mean absolute "
+        "Albedo: RMS error relative to the true RMS, after the best factor, on all of the face and where the "
+        "truth's confidence is .9 and more. Reconstruction: mean absolute "
         "and RMS difference from the photograph in 8-bit sRGB units, each the mean over photographs; Delta E "
         "2000 for colour. A dash: the method's albedo is the photograph divided by the shading, so that it "
         "reconstructs anything without error whatever its normals are, and the number would tell nothing.",
