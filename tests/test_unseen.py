@@ -21,7 +21,7 @@ from sfsnet_dr.study.evaluate.measure import measure
 from sfsnet_dr.study.evaluate.run import evaluate
 from sfsnet_dr.study.evaluate.shots import Collection, Shot
 from sfsnet_dr.study.evaluate.summary import normal_statistics
-from sfsnet_dr.study.evaluate.unseen import strangers, told, unseen
+from sfsnet_dr.study.evaluate.unseen import cross_validated, shown_together, strangers, told, unseen
 
 
 def tuned(folder: Path, learnt: tuple[str, ...], lamps_by: str = "", by_sight: tuple[str, ...] = ()) -> Path:
@@ -78,6 +78,35 @@ def test_a_network_that_was_told_no_truth_is_measured_on_everybody(tmp_path: Pat
     assert "ft-strangers" in (tmp_path / "out" / "index.html").read_text()
     methods, _ = methods_for(collection.shots, Wanted(("flat",), (tuned(tmp_path, SUBJECTS, "skipnet"),)))
     assert strangers(methods[1], found) is None
+
+
+def test_all_folds_together_measure_everybody_once(tmp_path: Path) -> None:
+    """Each subject by the network that held it back; and a page can be written, though nobody is left to all."""
+    collection = collect("labels", [write_faces(tmp_path / "labels", size=128)], Amount())
+    paths = []
+    for fold in range(2):
+        torch.manual_seed(fold)
+        parts = SUBJECTS[:2], SUBJECTS[2:]
+        split = IdentitySplit("balls", 2, fold, parts[1 - fold], parts[fold])
+        paths.append(tmp_path / f"{fold}" / "ft.safetensors")
+        paths[-1].parent.mkdir()
+        recipe = {"data": {"size": 32}}
+        save_weights(paths[-1], SfSNet(2, 2, 1), {"recipe": recipe, "surfaces": split.metadata})
+    methods, _ = methods_for(collection.shots, Wanted(("flat",), tuple(paths)))
+    assert [method.name for method in methods] == ["flat", "ft-fold0of2", "ft-fold1of2"]
+    records = {record.what: record.value for record in evaluate(collection, methods, tmp_path / "out", "")}
+    found = [measure(method, unseen([method], collection).shots) for method in methods]
+    [whole] = cross_validated(methods, found)
+    assert whole.method == "ft-all2folds"
+    assert sorted(errors.shot.name for errors in whole.images) == sorted(s.name for s in collection.shots)
+    own = [errors.normals.all for part in found[1:] for errors in part.images if errors.normals is not None]
+    pixels, total = np.sum(own, axis=0)[:2]
+    assert records["balls.ft_all2folds.normals.mean_deg"] == pytest.approx(total / pixels)
+    assert cross_validated(methods[:2], found[:2]) == []
+    together, theirs = shown_together(methods, methods[1], collection)
+    assert [method.name for method in together] == ["flat", "ft-fold0of2"]
+    assert theirs.subjects == list(SUBJECTS[:2])
+    assert "ft-all2folds" in (tmp_path / "out" / "index.html").read_text()
 
 
 @pytest.mark.slow

@@ -29,7 +29,7 @@ from sfsnet_dr.data.photo_set import find_landmarks, read_landmarks
 from sfsnet_dr.report.record import dotted
 from sfsnet_dr.scene.face_modes import load_face_modes
 from sfsnet_dr.study.evaluate.shots import Shot
-from sfsnet_dr.study.evaluate.unseen import fine_tuned
+from sfsnet_dr.study.evaluate.unseen import fine_tuned, fold_suffix
 
 Array = npt.NDArray[np.float64]
 
@@ -98,7 +98,7 @@ def methods_for(
         network = NetworkMethod(name, path, once=wanted.once)
         split = fine_tuned(network)
         if split is not None:
-            network.name = f"{name}-fold{split.fold}of{split.folds}"
+            network.name = name + fold_suffix(split)
         _add(methods, network, str(path))
     return methods, left_out
 

@@ -20,7 +20,7 @@ from sfsnet_dr.study.evaluate.shots import Collection
 from sfsnet_dr.study.evaluate.shown import for_decomposition, for_transfer, leading, shown_first
 from sfsnet_dr.study.evaluate.summary import BINS, bin_name, classified, region_name
 from sfsnet_dr.study.evaluate.tables import tables
-from sfsnet_dr.study.evaluate.unseen import told, unseen
+from sfsnet_dr.study.evaluate.unseen import shown_together, told
 
 #: Rows of what was left out that the page shows; the records count all.
 _SHOWN: Final = 40
@@ -63,7 +63,8 @@ def write_pages(
     figures = _by_group(collection.data, names, records)
     if figures:
         sections.append(Section("Where errors are", figures))
-    sections += _pictures(unseen(methods, collection), methods, method, measured)
+    together, theirs = shown_together(methods, method, collection)
+    sections += _pictures(theirs, together, method, measured)
     if collection.skipped:
         sections.append(Section("Left out", _left_out(collection.skipped)))
     write_page(

@@ -17,7 +17,7 @@ from sfsnet_dr.study.evaluate.page import write_pages
 from sfsnet_dr.study.evaluate.shots import Collection
 from sfsnet_dr.study.evaluate.summary import counts_of, records_of
 from sfsnet_dr.study.evaluate.tables import csv_text
-from sfsnet_dr.study.evaluate.unseen import strangers, unseen
+from sfsnet_dr.study.evaluate.unseen import cross_validated, strangers, unseen
 
 
 def evaluate(
@@ -50,6 +50,9 @@ def evaluate(
             if apart is not None:
                 records += records_of(collection, apart, command)
                 names.append(apart.method)
+    for whole in cross_validated(methods, found):
+        records += records_of(collection, whole, command)
+        names.append(whole.method)
     write_records(folder / "records.json", records)
     write_text(folder / "table.csv", csv_text(collection.data, names, records))
     write_pages(folder, collection, methods, names, found, records)

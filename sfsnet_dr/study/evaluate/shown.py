@@ -16,10 +16,12 @@ from sfsnet_dr.study.evaluate.summary import normal_statistics
 def leading(found: Sequence[Measured], networks: Sequence[str]) -> str:
     """The method whose pictures are shown: the network with the smallest error, or the best without any.
 
+    Only those that were measured on the most photographs are asked, for fewer may be easier.
     Error is that of normals where they are known, else of the reconstruction, else of the light.
     """
     chosen = [m for m in found if m.method in networks] or list(found)
-    return min(chosen, key=_error).method
+    most = max(len(m.images) for m in chosen)
+    return min((m for m in chosen if len(m.images) == most), key=_error).method
 
 
 def _error(measured: Measured) -> float:

@@ -53,6 +53,51 @@ def strangers(method: Method, found: Measured) -> Measured | None:
     return replace(found, method=f"{found.method}-strangers", images=images)
 
 
+def cross_validated(methods: Sequence[Method], found: Sequence[Measured]) -> list[Measured]:
+    """Everybody by the network that was not told their normals, where all folds of a fine-tuning are there.
+
+    Folds belong together if their methods' names differ in the fold alone. Photographs a second are those of
+    all folds' photographs.
+    """
+    groups: dict[tuple[str, int], dict[int, Measured]] = {}
+    for method, measured in zip(methods, found, strict=True):
+        split = fine_tuned(method)
+        if split is not None:
+            name = measured.method.removesuffix(fold_suffix(split))
+            groups.setdefault((name, split.folds), {})[split.fold] = measured
+    return [
+        Measured(
+            f"{name}-all{folds}folds",
+            [errors for part in parts.values() for errors in part.images],
+            sum(len(part.images) for part in parts.values())
+            / sum(len(part.images) / part.images_per_s for part in parts.values()),
+        )
+        for (name, folds), parts in groups.items()
+        if len(parts) == folds > 1
+    ]
+
+
+def fold_suffix(split: IdentitySplit) -> str:
+    """What the name of a fine-tuned method ends in."""
+    return f"-fold{split.fold}of{split.folds}"
+
+
+def shown_together(
+    methods: Sequence[Method], first: Method, collection: Collection
+) -> tuple[list[Method], Collection]:
+    """Methods, ``first`` and then as many as leave somebody whom none of them has learnt from, and those."""
+    chosen = [first]
+    for method in methods:
+        if method is first:
+            continue
+        try:
+            unseen([*chosen, method], collection)
+        except BadInput:
+            continue
+        chosen.append(method)
+    return [method for method in methods if method in chosen], unseen(chosen, collection)
+
+
 def told(methods: Sequence[Method], collection: Collection) -> list[str]:
     """A sentence for each method that has seen some of the subjects before."""
     notes = []
