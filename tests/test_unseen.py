@@ -81,7 +81,7 @@ def test_a_network_that_was_told_no_truth_is_measured_on_everybody(tmp_path: Pat
 
 
 def test_all_folds_together_measure_everybody_once(tmp_path: Path) -> None:
-    """Each subject by the network that held it back; and a page can be written, though nobody is left to all."""
+    """Each subject by the network that held it back; a page can be written, though nobody is left to all."""
     collection = collect("labels", [write_faces(tmp_path / "labels", size=128)], Amount())
     paths = []
     for fold in range(2):
