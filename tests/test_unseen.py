@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -103,6 +104,7 @@ def test_all_folds_together_measure_everybody_once(tmp_path: Path) -> None:
     pixels, total = np.sum(own, axis=0)[:2]
     assert records["balls.ft_all2folds.normals.mean_deg"] == pytest.approx(total / pixels)
     assert cross_validated(methods[:2], found[:2]) == []
+    assert cross_validated(methods[1:], [replace(part, images=whole.images) for part in found[1:]]) == []
     together, theirs = shown_together(methods, methods[1], collection)
     assert [method.name for method in together] == ["flat", "ft-fold0of2"]
     assert theirs.subjects == list(SUBJECTS[:2])

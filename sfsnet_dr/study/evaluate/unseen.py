@@ -57,7 +57,8 @@ def cross_validated(methods: Sequence[Method], found: Sequence[Measured]) -> lis
     """Everybody by the network that was not told their normals, where all folds of a fine-tuning are there.
 
     Folds belong together if their methods' names differ in the fold alone. Photographs a second are those of
-    all folds' photographs.
+    all folds' photographs. Other databases than the one they learnt from, where each fold is measured on
+    everybody, are not pooled.
     """
     groups: dict[tuple[str, int], dict[int, Measured]] = {}
     for method, measured in zip(methods, found, strict=True):
@@ -65,16 +66,13 @@ def cross_validated(methods: Sequence[Method], found: Sequence[Measured]) -> lis
         if split is not None:
             name = measured.method.removesuffix(fold_suffix(split))
             groups.setdefault((name, split.folds), {})[split.fold] = measured
-    return [
-        Measured(
-            f"{name}-all{folds}folds",
-            [errors for part in parts.values() for errors in part.images],
-            sum(len(part.images) for part in parts.values())
-            / sum(len(part.images) / part.images_per_s for part in parts.values()),
-        )
-        for (name, folds), parts in groups.items()
-        if len(parts) == folds > 1
-    ]
+    pooled = []
+    for (name, folds), parts in groups.items():
+        images = [errors for part in parts.values() for errors in part.images]
+        if len(parts) == folds > 1 and len({errors.shot for errors in images}) == len(images):
+            seconds = sum(len(part.images) / part.images_per_s for part in parts.values())
+            pooled.append(Measured(f"{name}-all{folds}folds", images, len(images) / seconds))
+    return pooled
 
 
 def fold_suffix(split: IdentitySplit) -> str:
