@@ -22,7 +22,14 @@ from sfsnet_dr.study.evaluate.measure import measure
 from sfsnet_dr.study.evaluate.run import evaluate
 from sfsnet_dr.study.evaluate.shots import Collection, Shot
 from sfsnet_dr.study.evaluate.summary import normal_statistics
-from sfsnet_dr.study.evaluate.unseen import cross_validated, shown_together, strangers, told, unseen
+from sfsnet_dr.study.evaluate.unseen import (
+    cross_validated,
+    shown_together,
+    strangers,
+    told,
+    unseen,
+    without_folds,
+)
 
 
 def tuned(folder: Path, learnt: tuple[str, ...], lamps_by: str = "", by_sight: tuple[str, ...] = ()) -> Path:
@@ -105,6 +112,8 @@ def test_all_folds_together_measure_everybody_once(tmp_path: Path) -> None:
     assert records["balls.ft_all2folds.normals.mean_deg"] == pytest.approx(total / pixels)
     assert cross_validated(methods[:2], found[:2]) == []
     assert cross_validated(methods[1:], [replace(part, images=whole.images) for part in found[1:]]) == []
+    names = ["flat", "ft-fold0of2", "ft-fold1of2", "other-fold0of2", "ft-all2folds"]
+    assert without_folds(names) == ["flat", "other-fold0of2", "ft-all2folds"]
     together, theirs = shown_together(methods, methods[1], collection)
     assert [method.name for method in together] == ["flat", "ft-fold0of2"]
     assert theirs.subjects == list(SUBJECTS[:2])

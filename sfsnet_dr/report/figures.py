@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 import matplotlib
 import numpy as np
@@ -121,6 +121,10 @@ def error_colours(values: NDArray[np.floating], limit: float) -> NDArray[np.uint
     return np.asarray(np.round(255 * pixels), dtype=np.uint8)
 
 
+#: Height of a line of a legend in inches, for a figure must hold all of them.
+_LEGEND_LINE: Final = 0.24
+
+
 def lines_by_group(
     groups: Sequence[str], lines: Mapping[str, Sequence[float | None]], *, label: str, groups_label: str = ""
 ) -> bytes:
@@ -133,7 +137,7 @@ def lines_by_group(
         groups_label: what the groups are.
     """
     with matplotlib.rc_context(STYLE):
-        figure, axes = _axes(9.2, 3.8)
+        figure, axes = _axes(9.2, max(3.8, 0.5 + _LEGEND_LINE * len(lines)))
         for index, (name, values) in enumerate(lines.items()):
             shown = [np.nan if value is None else value for value in values]
             style = ("-", "--", ":", "-.")[index // len(PALETTE) % 4]

@@ -20,7 +20,7 @@ from sfsnet_dr.study.evaluate.shots import Collection
 from sfsnet_dr.study.evaluate.shown import for_decomposition, for_transfer, leading, shown_first
 from sfsnet_dr.study.evaluate.summary import BINS, bin_name, classified, region_name
 from sfsnet_dr.study.evaluate.tables import tables
-from sfsnet_dr.study.evaluate.unseen import shown_together, told
+from sfsnet_dr.study.evaluate.unseen import shown_together, told, without_folds
 
 #: Rows of what was left out that the page shows; the records count all.
 _SHOWN: Final = 40
@@ -60,7 +60,7 @@ def write_pages(
             ],
         )
     ]
-    figures = _by_group(collection.data, names, records)
+    figures = _by_group(collection.data, without_folds(names), records)
     if figures:
         sections.append(Section("Where errors are", figures))
     together, theirs = shown_together(methods, method, collection)

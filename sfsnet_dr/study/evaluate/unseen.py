@@ -7,6 +7,7 @@ pictures they have never seen, the strangers, is told beside it.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -73,6 +74,12 @@ def cross_validated(methods: Sequence[Method], found: Sequence[Measured]) -> lis
             seconds = sum(len(part.images) / part.images_per_s for part in parts.values())
             pooled.append(Measured(f"{name}-all{folds}folds", images, len(images) / seconds))
     return pooled
+
+
+def without_folds(names: Sequence[str]) -> list[str]:
+    """Names of methods, those of folds left out that are measured together under a name of their own."""
+    pooled = {found[1] for name in names if (found := re.fullmatch(r"(.*)-all\d+folds", name))}
+    return [name for name in names if re.sub(r"-fold\d+of\d+$", "", name) not in pooled]
 
 
 def fold_suffix(split: IdentitySplit) -> str:
