@@ -72,14 +72,13 @@ def take_apart(
     Args:
         model: the network.
         read: at least one picture, all of one size.
-        view: what it was shown of the frame in training; see ``methods.ask``. Masks end where it ends.
+        view: what it was shown of the frame in training; see ``methods.ask``.
         values: what a photograph's numbers are to the network. Its albedo and shading explain those, and are
             kept as they are.
     """
     images = torch.from_numpy(np.stack([np.moveaxis(picture.image, -1, 0) for picture in read])).float()
     masks = torch.from_numpy(np.stack([picture.mask for picture in read])).float()[:, None]
     found, gain = ask(model, images, masks, view, values)
-    covered = view.covered(images.shape[-1]).numpy()
     normal, albedo, light = (part.double().numpy() for part in found)
     shade = shading(normal, light)
     image = albedo * shade if values == "linear" else srgb_to_linear(albedo * shade) / gain.double().numpy()
@@ -88,7 +87,7 @@ def take_apart(
         Decomposed(
             name=picture.name,
             image=picture.image,
-            mask=np.asarray(picture.mask * covered, np.float32),
+            mask=np.asarray(picture.mask, np.float32),
             normal=maps[0][index],
             albedo=maps[1][index],
             light=Shading.from_flat(light[index]),

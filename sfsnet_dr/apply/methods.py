@@ -9,9 +9,10 @@ from typing import Final, NamedTuple, Protocol, runtime_checkable
 import torch
 from torch import Tensor, nn
 
+from sfsnet_dr.apply.whole_frame import beyond, joined
 from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.base.color_torch import linear_to_srgb, srgb_to_linear
-from sfsnet_dr.base.conventions import LIGHT_ORDER
+from sfsnet_dr.base.conventions import FACE_SIZE, LIGHT_ORDER
 from sfsnet_dr.data.exposure import metering_gain
 from sfsnet_dr.data.pseudo_labels import Values
 from sfsnet_dr.data.view import View
@@ -106,8 +107,9 @@ def ask(
 ) -> tuple[Decomposition, Tensor]:
     """A network's answer at the resolution of the images, and the gains that it saw them with.
 
-    They are shown to it as ``view`` says, its maps are interpolated; outside the view the nearest answer
-    stands. Images that are far darker or brighter than photographs are metered for it (``data.exposure``).
+    They are shown to it as ``view`` says, its maps are interpolated. Images whose mask reaches out of the
+    view are shown to it whole as well, for what lies there (``whole_frame``). Images that are far darker or
+    brighter than photographs are metered for it (``data.exposure``).
 
     Args:
         model: the network.
@@ -125,16 +127,29 @@ def ask(
         BadInput: if the images show the view with fewer pixels than the network was trained on.
     """
     gain = metering_gain(images, masks)
+    metered = images * gain
+    found = _spread(model, metered, view, values, once)
+    rows = beyond(masks, view)
+    if rows.any():
+        wide = _spread(model, metered[rows], view._replace(crop=FACE_SIZE), values, once)
+        near = Decomposition(*(part[rows] for part in found))
+        for part, whole in zip(found, joined(near, wide, masks[rows], view), strict=True):
+            part[rows] = whole
+    light = found.light / gain[:, :, 0, 0] if values == "linear" else found.light
+    return Decomposition(found.normal, found.albedo, light), gain
+
+
+def _spread(model: nn.Module, images: Tensor, view: View, values: Values, once: bool) -> Decomposition:
+    """Unit normals and albedo on the whole frame from a view of it; beyond the view the nearest answer."""
     try:
-        small = view.shown(images * gain).clamp(0, 1)
+        small = view.shown(images).clamp(0, 1)
     except BadInput as error:
         raise BadInput(f"images: {error}, as the network was trained") from error
     answer = (predict if once else predict_both_ways)(
         model, linear_to_srgb(small) if values == "display" else small
     )
     normal, albedo = (view.spread(part, images.shape[-1]) for part in (answer.normal, answer.albedo))
-    light = answer.light / gain[:, :, 0, 0] if values == "linear" else answer.light
-    return Decomposition(unit(normal), albedo, light), gain
+    return Decomposition(unit(normal), albedo, answer.light)
 
 
 class FlatNormals:
