@@ -13,7 +13,7 @@ from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.fit.trained import load_trained
 from sfsnet_dr.model.eight_bit import STEP, from_eight_bit, to_eight_bit
 from sfsnet_dr.model.sfsnet import SfSNet
-from sfsnet_dr.model.shipped import BEST, SHIPPED, weights_path
+from sfsnet_dr.model.shipped import BEST, SHIPPED, weights_name, weights_path
 from sfsnet_dr.model.weights import load_weights, save_weights
 from sfsnet_dr.study.shipped_check import card_records, compare, measure_shipped
 
@@ -98,3 +98,26 @@ def test_shipped_networks_reproduce_their_cards(tmp_path: Path) -> None:
     records = measure_shipped(SHIPPED, tmp_path, "test")
     card = [record for name in SHIPPED for record in card_records(name)]
     assert [str(one) for one in compare(records, card) if not one.same or one.card is None] == []
+
+
+def test_networks_are_called_by_file_or_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert weights_name("skipnet-plus") == "skipnet-plus"
+    assert weights_name(tmp_path / "mine.safetensors") == "mine"
+    run = tmp_path / "first"
+    run.mkdir()
+    assert weights_name(run / "weights.safetensors") == "first"
+    monkeypatch.chdir(run)
+    assert weights_name("weights.safetensors") == "first"
+
+
+def test_two_networks_of_one_name_are_told(tmp_path: Path) -> None:
+    """One of them would be measured under the name of both."""
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        save_weights(
+            tmp_path / folder / "mine.safetensors", SfSNet(4, 4, 1), {"recipe": {"data": {"size": 32}}}
+        )
+    names = [tmp_path / folder / "mine.safetensors" for folder in ("a", "b")]
+    with pytest.raises(BadInput, match=r"names: two networks would be called 'mine'; rename .*mine"):
+        measure_shipped(names, tmp_path / "out", "test")
+    assert not (tmp_path / "out").exists()

@@ -28,3 +28,9 @@ def weights_path(given: Path | str) -> Path:
     if path.name == name and not path.suffix and not path.exists():
         raise BadInput(f"weights: {name!r} is no file, and no shipped network: {nearest(name, SHIPPED)}")
     return path
+
+
+def weights_name(given: Path | str) -> str:
+    """What weights are called in tables and records: their file, or the run of a weights.safetensors."""
+    path = Path(given)
+    return path.resolve().parent.name if path.stem == "weights" else path.stem

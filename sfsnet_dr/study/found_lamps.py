@@ -21,7 +21,7 @@ from sfsnet_dr.fit.self_calibration import Guess, Lamps, find_lamps
 from sfsnet_dr.fit.usual_slopes import usual_slopes
 from sfsnet_dr.metrics.light_classes import light_direction
 from sfsnet_dr.metrics.normals import angles_deg
-from sfsnet_dr.model.shipped import weights_path
+from sfsnet_dr.model.shipped import weights_name
 from sfsnet_dr.study.captures import Capture, Captures
 
 Array = npt.NDArray[np.float64]
@@ -57,7 +57,7 @@ def with_found_lamps(
     Raises:
         BadInput: for unusable weights or heads, or if no capture has as many lamps as are needed.
     """
-    method = NetworkMethod(Path(weights_path(weights)).stem, weights)
+    method = NetworkMethod(weights_name(weights), weights)
     usual = mean_normals(heads) if heads else None
     guesses = []
     for face in read.faces:

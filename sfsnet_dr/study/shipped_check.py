@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import Final
 
 from sfsnet_dr.base.atomic import output_dir
+from sfsnet_dr.base.checks import BadInput
 from sfsnet_dr.data.augment import Augmentation
 from sfsnet_dr.data.dataset import load_faces
 from sfsnet_dr.data.photo_source import photo_folder
 from sfsnet_dr.data.synth import synthesize
 from sfsnet_dr.fit.trained import Trained, load_trained
-from sfsnet_dr.model.shipped import FOLDER
+from sfsnet_dr.model.shipped import FOLDER, weights_name
 from sfsnet_dr.report.record import Record, read_records
 from sfsnet_dr.scene.spec import SceneSpec
 from sfsnet_dr.study.held_back import held_batch, on_photographs, on_rendered, records_of
@@ -71,9 +72,9 @@ def measure_shipped(
         on_face: called with the seed of each face that was rendered.
 
     Raises:
-        BadInput: for unusable weights or photographs.
+        BadInput: for unusable weights or photographs, or two networks of one name.
     """
-    networks: Mapping[str, Trained] = {Path(name).stem: load_trained(name) for name in names}
+    networks = _loaded(names)
     folder = output_dir(out) / "faces"
     synthesize(folder, SceneSpec("faces", "anny"), FACES, seed=FIRST_SEED, resume=True, on_face=on_face)
     source = None if photographs is None else photo_folder(photographs, held_back=PHOTOGRAPHS)
@@ -88,6 +89,16 @@ def measure_shipped(
         if source is not None:
             records += records_of(on_photographs(trained, shown[trained.view]), "photographs", name, command)
     return records
+
+
+def _loaded(names: Sequence[Path | str]) -> Mapping[str, Trained]:
+    networks: dict[str, Trained] = {}
+    for given in names:
+        name = weights_name(given)
+        if name in networks:
+            raise BadInput(f"names: two networks would be called {name!r}; rename {given}")
+        networks[name] = load_trained(given)
+    return networks
 
 
 def card_records(name: str) -> list[Record]:

@@ -26,6 +26,7 @@ from sfsnet_dr.base.checks import BadInput, nearest
 from sfsnet_dr.data.landmarks import canonical_landmarks
 from sfsnet_dr.data.listing import FacePhoto, Listing
 from sfsnet_dr.data.photo_set import find_landmarks, read_landmarks
+from sfsnet_dr.model.shipped import weights_name
 from sfsnet_dr.report.record import dotted
 from sfsnet_dr.scene.face_modes import load_face_modes
 from sfsnet_dr.study.evaluate.shots import Shot
@@ -94,7 +95,7 @@ def methods_for(
                 raise BadInput(f"{name}: {error}") from error
             left_out[name] = str(error)
     for path in wanted.weights:
-        name = dotted(path.parent.name if path.stem == "weights" else path.stem)
+        name = dotted(weights_name(path))
         network = NetworkMethod(name, path, once=wanted.once)
         split = fine_tuned(network)
         if split is not None:
