@@ -76,8 +76,9 @@ class Listing:
 
     def __post_init__(self) -> None:
         if not self.photos:
-            why = f"; {self.skipped[0].name}: {self.skipped[0].reason}" if self.skipped else ""
-            raise BadInput(f"{self.folder}: no photograph of {self.database} found{why}")
+            first = next((f"{each.name}: {each.reason}" for each in self.skipped), "")
+            why = first or "`sfsnet-dr data check --help` says where its layout is described"
+            raise BadInput(f"{self.folder}: no photograph of {self.database} found; {why}")
 
     @property
     def subjects(self) -> tuple[str, ...]:
