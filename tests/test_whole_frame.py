@@ -65,7 +65,7 @@ def test_a_network_that_was_shown_all_is_asked_once() -> None:
 
 
 def test_answers_fade_on_a_rim_of_six_pixels() -> None:
-    """Column 64, normals that point up and to the viewer: as spherical geometry has it on the diagonal."""
+    """Normals that point up, and to the viewer further out: their mean by shares, of length one."""
     near, wide = torch.zeros(1, 3, 128, 128), torch.zeros(1, 3, 128, 128)
     near[:, 1], wide[:, 2] = 1, 1
     grey = torch.full((1, 3, 128, 128), 0.5)

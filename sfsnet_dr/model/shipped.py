@@ -33,4 +33,4 @@ def weights_path(given: Path | str) -> Path:
 def weights_name(given: Path | str) -> str:
     """What weights are called in tables and records: their file, or the run of a weights.safetensors."""
     path = Path(given)
-    return path.resolve().parent.name if path.stem == "weights" else path.stem
+    return path.absolute().parent.name if path.stem == "weights" else path.stem
