@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from sfsnet_dr.cli import main
+from sfsnet_dr.cli.main import main
 
 if __name__ == "__main__":
     sys.exit(main())

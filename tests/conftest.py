@@ -10,7 +10,7 @@ import pytest
 @pytest.fixture(scope="module")
 def surfaces(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Captures of six people, with exact labels."""
-    from captures import write_faces
+    from helpers.captures import write_faces
 
     return write_faces(tmp_path_factory.mktemp("labels") / "a")
 
@@ -18,6 +18,6 @@ def surfaces(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def spheres(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three rendered spheres of 16 x 16."""
-    from spheres import write_spheres
+    from helpers.spheres import write_spheres
 
     return write_spheres(tmp_path_factory.mktemp("faces"), 3)

@@ -17,15 +17,15 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 
 #: Each part may import itself and what stands before it.
 ORDER = [
-    "base", "sh", "scene", "render", "data", "model", "loss", "metrics", "fit", "apply", "report", "study",
-    "commands", "cli", "__main__",
+    "core", "sh", "scene", "render", "metrics", "data", "models", "losses", "train", "estimation",
+    "inference", "report", "experiments", "cli", "__main__",
 ]  # fmt: skip
 
 #: Folders in which a heavy library may be imported, and single files with their reason.
 HEAVY = {
     # runtime chooses libLLVM and the variant; doctor's job is to see whether they start.
-    "mitsuba": {"scene", "render", "base/runtime.py", "study/doctor.py"},
-    "drjit": {"scene", "render", "loss", "base/runtime.py", "study/doctor.py"},
+    "mitsuba": {"scene", "render", "core/runtime.py", "experiments/doctor.py"},
+    "drjit": {"scene", "render", "losses", "core/runtime.py", "experiments/doctor.py"},
 }
 
 #: Seconds that `import sfsnet_dr` may take, from the project's requirements.
@@ -64,6 +64,44 @@ def test_imports_run_one_way(path: Path) -> None:
         assert against_the_order(importer, imported(path)) == []
 
 
+def modules_imported(path: Path, names: set[str]) -> set[str]:
+    """The package's own modules that a file imports, lazy and TYPE_CHECKING imports included."""
+    found = set()
+    for module in imported(path):
+        for name in (module, module.rpartition(".")[0]):
+            if name in names:
+                found.add(name)
+                break
+    return found
+
+
+def import_cycles(graph: dict[str, set[str]]) -> list[list[str]]:
+    """Groups of modules that reach each other (strongly connected components of two or more)."""
+    reach: dict[str, set[str]] = {}
+    for start in graph:
+        seen: set[str] = set()
+        stack = list(graph[start])
+        while stack:
+            name = stack.pop()
+            if name not in seen:
+                seen.add(name)
+                stack.extend(graph[name])
+        reach[start] = seen
+    groups = {tuple(sorted({a, *(b for b in reach[a] if a in reach[b])})) for a in graph if a in reach[a]}
+    return [list(group) for group in sorted(groups)]
+
+
+def test_no_module_imports_itself_through_others() -> None:
+    names = {".".join(("sfsnet_dr", *p.relative_to(PACKAGE).with_suffix("").parts)): p for p in FILES}
+    names = {name.removesuffix(".__init__"): path for name, path in names.items()}
+    graph = {name: modules_imported(path, set(names)) - {"sfsnet_dr"} for name, path in names.items()}
+    assert import_cycles(graph) == []
+
+
+def test_the_check_sees_a_cycle() -> None:
+    assert import_cycles({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}}) == [["a", "b", "c"]]
+
+
 @pytest.mark.parametrize("library", HEAVY)
 def test_heavy_libraries_stay_where_they_belong(library: str) -> None:
     strangers = []
@@ -78,9 +116,14 @@ def test_heavy_libraries_stay_where_they_belong(library: str) -> None:
 
 def test_the_check_sees_a_wrong_import(tmp_path: Path) -> None:
     wrong = tmp_path / "wrong.py"
-    wrong.write_text("def f():\n    from sfsnet_dr.study import demo\n    import sfsnet_dr.fit.trainer\n")
-    assert against_the_order("base", imported(wrong)) == ["sfsnet_dr.study.demo", "sfsnet_dr.fit.trainer"]
-    assert against_the_order("study", imported(wrong)) == []
+    wrong.write_text(
+        "def f():\n    from sfsnet_dr.experiments import demo\n    import sfsnet_dr.train.trainer\n"
+    )
+    assert against_the_order("core", imported(wrong)) == [
+        "sfsnet_dr.experiments.demo.run",
+        "sfsnet_dr.train.trainer",
+    ]
+    assert against_the_order("experiments", imported(wrong)) == []
 
 
 def test_every_part_is_in_the_order() -> None:
@@ -113,7 +156,7 @@ def test_import_is_quick_and_light() -> None:
 
 def test_help_loads_no_renderer_and_no_network() -> None:
     code = (
-        "import sys; from sfsnet_dr.cli import main; main([]); "
+        "import sys; from sfsnet_dr.cli.main import main; main([]); "
         "print([m for m in ('torch', 'mitsuba', 'drjit', 'colour', 'matplotlib') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -58,7 +58,7 @@ def test_the_wheel_brings_the_validation_scenes_and_finds_them_once_installed(
     pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--ignore-installed"]
     subprocess.run([*pip, how, str(site), wheel.filename], check=True, capture_output=True)
     [package] = site.rglob("sfsnet_dr/__init__.py")
-    code = "from sfsnet_dr.scene.validation_scenes import find_scene; print(find_scene('bowl'))"
+    code = "from sfsnet_dr.scene.subject import find_scene; print(find_scene('bowl'))"
     environment = os.environ | {"PYTHONPATH": str(package.parents[1])}
     found = subprocess.run(
         [sys.executable, "-P", "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True
@@ -73,7 +73,7 @@ def test_the_wheel_has_the_command_and_the_licences(wheel: zipfile.ZipFile) -> N
     names = {name.split(".dist-info/", 1)[1]: name for name in wheel.namelist() if ".dist-info/" in name}
     scripts = configparser.ConfigParser()
     scripts.read_string(wheel.read(names["entry_points.txt"]).decode())
-    assert scripts["console_scripts"]["sfsnet-dr"] == "sfsnet_dr.cli:main"
+    assert scripts["console_scripts"]["sfsnet-dr"] == "sfsnet_dr.cli.main:main"
     assert {"licenses/LICENSE", "licenses/NOTICE"} <= set(names)
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from sfsnet_dr.base.checks import BadInput
-from sfsnet_dr.cli import parse
+from sfsnet_dr.cli.main import parse
+from sfsnet_dr.core.errors import InputError
 
 ROOT = Path(__file__).parent.parent
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -58,9 +58,9 @@ def test_links_lead_to_files() -> None:
 
 
 def test_a_wrong_command_would_be_seen(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(BadInput, match="--outt"):
+    with pytest.raises(InputError, match="--outt"):
         check(["sfsnet-dr", "train", "training/recipes/smoke.toml", "--outt", "x"])
-    with pytest.raises(BadInput):
+    with pytest.raises(InputError):
         check(["sfsnet-dr", "trian"])
     with pytest.raises(subprocess.CalledProcessError):
         check(["make", "no-such-target"])

@@ -8,18 +8,20 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from sfsnet_dr.base.checks import BadInput, check_shape
-from sfsnet_dr.base.conventions import LIGHT_SIZE
+from sfsnet_dr.core.conventions import LIGHT_SIZE
+from sfsnet_dr.core.errors import InputError, check_shape
 
 
 def dealt(count: int, rank: int, size: int) -> slice:
     """What process ``rank`` of ``size`` has of ``count`` images.
 
     Raises:
-        BadInput: if they cannot be dealt out evenly.
+        InputError: if they cannot be dealt out evenly.
     """
     if count % size:
-        raise BadInput(f"batch: {count} images of a kind found, a multiple of the {size} processes is needed")
+        raise InputError(
+            f"batch: {count} images of a kind found, a multiple of the {size} processes is needed"
+        )
     return slice(rank * (count // size), (rank + 1) * (count // size))
 
 
@@ -48,7 +50,7 @@ class FaceBatch(NamedTuple):
         """Refuse fields whose shapes do not belong together.
 
         Raises:
-            BadInput: naming the field, its shape and the shape expected.
+            InputError: naming the field, its shape and the shape expected.
         """
         sizes = check_shape("image", self.image, "B 3 H W")
         check_shape("normal", self.normal, "B 3 H W", **sizes)

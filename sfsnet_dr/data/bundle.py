@@ -10,8 +10,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sfsnet_dr.base.checks import BadInput, check_shape
-from sfsnet_dr.base.imageio import read_exr, write_exr
+from sfsnet_dr.core.errors import InputError, check_shape
+from sfsnet_dr.core.image_io import read_exr, write_exr
 from sfsnet_dr.sh.coefficients import Radiance
 from sfsnet_dr.sh.kernel import order_of
 
@@ -72,7 +72,7 @@ class Bundle:
         meta: what the numbers belong to.
 
     Raises:
-        BadInput: if a shape does not fit the others, a value is NaN or infinite, or a direction has another
+        InputError: if a shape does not fit the others, a value is NaN or infinite, or a direction has another
             length than 1.
     """
 
@@ -97,15 +97,15 @@ class Bundle:
             check_shape(name, getattr(self, name), "H W", **sizes)
         order_of(check_shape("transport", self.transport, "K H W 3", **sizes)["K"])
         if check_shape("gloss", self.gloss, "G H W", **sizes)["G"] not in (0, _GLOSS):
-            raise BadInput(f"gloss: {len(self.gloss)} responses found, 0 or {_GLOSS} allowed")
+            raise InputError(f"gloss: {len(self.gloss)} responses found, 0 or {_GLOSS} allowed")
         count = check_shape("lamps", self.lamps, "D H W 3", **sizes)["D"]
         check_shape("directions", self.directions, "D 3", D=count)
         for name in _FLOATS:
             if not np.isfinite(getattr(self, name)).all():
-                raise BadInput(f"{name}: NaN or inf found, finite values are needed")
+                raise InputError(f"{name}: NaN or inf found, finite values are needed")
         lengths = np.linalg.norm(self.directions, axis=1)
         if np.any(np.abs(lengths - 1.0) > 1e-6):
-            raise BadInput(f"directions: lengths {lengths.min():g} to {lengths.max():g} found, 1 allowed")
+            raise InputError(f"directions: lengths {lengths.min():g} to {lengths.max():g} found, 1 allowed")
 
 
 def write_bundle(path: Path | str, bundle: Bundle) -> None:
@@ -132,7 +132,7 @@ def read_bundle(path: Path | str) -> Bundle:
     """Read what ``write_bundle`` wrote.
 
     Raises:
-        BadInput: if the file is missing, is no bundle, is of another version or lacks a channel.
+        InputError: if the file is missing, is no bundle, is of another version or lacks a channel.
     """
     channels, strings = read_exr(path)
     values = _from_strings(Path(path), strings)
@@ -141,15 +141,15 @@ def read_bundle(path: Path | str) -> Bundle:
         directions = np.array(values["directions"], dtype=np.float64).reshape(-1, 3)
         counts = {name: int(values[name]) for name in ("transport", "gloss")}
     except KeyError as error:
-        raise BadInput(f"{path}: metadata {PREFIX}{error.args[0]} is missing; render again") from error
+        raise InputError(f"{path}: metadata {PREFIX}{error.args[0]} is missing; render again") from error
     try:
         arrays = _arrays(channels, counts["transport"], counts["gloss"], len(directions))
     except KeyError as error:
-        raise BadInput(f"{path}: channel {error} is missing; render the bundle again") from error
+        raise InputError(f"{path}: channel {error} is missing; render the bundle again") from error
     try:
         return Bundle(**arrays, directions=directions, meta=meta)
-    except BadInput as error:
-        raise BadInput(f"{path}: {error}") from error
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
 
 
 def _arrays(channels: dict[str, Array], transport: int, gloss: int, lamps: int) -> dict[str, Any]:
@@ -195,11 +195,11 @@ def _from_strings(path: Path, strings: dict[str, str]) -> dict[str, Any]:
         key.removeprefix(PREFIX): json.loads(text) for key, text in strings.items() if key.startswith(PREFIX)
     }
     if "version" not in values:
-        raise BadInput(
+        raise InputError(
             f"{path}: an EXR without {PREFIX}version found, a bundle of `sfsnet-dr synth` expected"
         )
     if values["version"] != VERSION:
-        raise BadInput(
+        raise InputError(
             f"{path}: bundle of version {values['version']} found, {VERSION} expected; render again"
         )
     return values

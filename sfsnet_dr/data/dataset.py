@@ -13,20 +13,20 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from sfsnet_dr.base.checks import BadInput
-from sfsnet_dr.base.color import LUMINANCE
-from sfsnet_dr.base.conventions import FACE_SIZE, LIGHT_ORDER
-from sfsnet_dr.data.augment import Augmentation, backgrounds
+from sfsnet_dr.core.color import LUMINANCE
+from sfsnet_dr.core.conventions import FACE_SIZE, LIGHT_ORDER
+from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.data.batch import FaceBatch, dealt, in_turn
 from sfsnet_dr.data.bundle import Bundle, read_bundle
-from sfsnet_dr.data.flip import flip_map, flip_normal, x_parity
-from sfsnet_dr.data.light_bank import LightBank, draw_bank
-from sfsnet_dr.data.lighting import Lighting, light_faces
 from sfsnet_dr.data.manifest import NAME, Entry, Manifest
-from sfsnet_dr.data.photo_effects import PhotoEffects, frames, photograph, sample_effects
 from sfsnet_dr.data.relight import relight_batch
-from sfsnet_dr.data.view import View
-from sfsnet_dr.scene.lights import MAP_ORDER
+from sfsnet_dr.data.transforms.background import Augmentation, backgrounds
+from sfsnet_dr.data.transforms.camera import PhotoEffects, frames, photograph, sample_effects
+from sfsnet_dr.data.transforms.crop import View
+from sfsnet_dr.data.transforms.flip import flip_map, flip_normal, x_parity
+from sfsnet_dr.scene.lights.batch import Lighting, light_faces
+from sfsnet_dr.scene.lights.cache import LightBank, draw_bank
+from sfsnet_dr.scene.lights.light import MAP_ORDER
 from sfsnet_dr.sh.basis import sh_basis
 from sfsnet_dr.sh.kernel import order_of
 
@@ -88,14 +88,14 @@ def load_faces(
         held: read these instead of the rest.
 
     Raises:
-        BadInput: if there is no manifest, it is empty, half or more would be held back, or a bundle is
+        InputError: if there is no manifest, it is empty, half or more would be held back, or a bundle is
             missing, damaged, of another size or other responses than the first, of too low an order, has an
             empty mask, or has fewer pixels than the view.
     """
     bundles = listed(folders)
     ranks = sorted(entry.sha256 for _, entry in bundles)
     if not 0 <= held_back < max(1, len(ranks) / 2):
-        raise BadInput(
+        raise InputError(
             f"data.held_back: {held_back} of {len(ranks)} bundles found, less than half is allowed"
         )
     kept = set(ranks[:held_back])
@@ -108,7 +108,9 @@ def load_faces(
         for name, tensor in _tensors(path, bundle, view).items():
             whole = planes.setdefault(name, tensor.new_empty(len(chosen), *tensor.shape))
             if tensor.shape != whole.shape[1:]:
-                raise BadInput(f"{path}: {_difference(tensor, whole[0])} expected as in {chosen[0][0].name}")
+                raise InputError(
+                    f"{path}: {_difference(tensor, whole[0])} expected as in {chosen[0][0].name}"
+                )
             whole[number] = tensor
     digest = hashlib.sha256(_label(view).join(entry.sha256 for _, entry in chosen).encode()).hexdigest()
     several = len({path.parent for path, _ in chosen}) > 1
@@ -120,13 +122,13 @@ def listed(folders: Folders) -> list[tuple[Path, Entry]]:
     """The bundles of all folders with their files, folder by folder in the order of their seeds.
 
     Raises:
-        BadInput: if there is no manifest, or it is empty.
+        InputError: if there is no manifest, or it is empty.
     """
     found = []
     for folder in [folders] if isinstance(folders, Path | str) else folders:
         entries = sorted(Manifest(folder).entries, key=lambda entry: (entry.seed, entry.file))
         if not entries:
-            raise BadInput(f"{folder}: no bundles listed in {NAME}; render some with `sfsnet-dr synth`")
+            raise InputError(f"{folder}: no bundles listed in {NAME}; render some with `sfsnet-dr synth`")
         found += [(Path(folder) / entry.file, entry) for entry in entries]
     return found
 
@@ -144,9 +146,9 @@ def _difference(found: Tensor, expected: Tensor) -> str:
 
 def _tensors(path: Path, bundle: Bundle, view: View | None) -> dict[str, Tensor]:
     if order_of(len(bundle.transport)) < LIGHT_ORDER:
-        raise BadInput(f"{path}: {len(bundle.transport)} transport coefficients found, 9 are needed")
+        raise InputError(f"{path}: {len(bundle.transport)} transport coefficients found, 9 are needed")
     if not bundle.mask.any():
-        raise BadInput(f"{path}: the mask is empty; a face must be in the picture")
+        raise InputError(f"{path}: the mask is empty; a face must be in the picture")
     arrays = {
         "normal": np.moveaxis(bundle.normal, -1, 0),
         "albedo": np.moveaxis(bundle.albedo, -1, 0),
@@ -160,8 +162,8 @@ def _tensors(path: Path, bundle: Bundle, view: View | None) -> dict[str, Tensor]
     if view is not None:
         try:
             tensors = {name: view.shown(tensor) for name, tensor in tensors.items()}
-        except BadInput as error:
-            raise BadInput(f"{path}: {error}; see data.size and data.crop") from error
+        except InputError as error:
+            raise InputError(f"{path}: {error}; see data.size and data.crop") from error
     return {name: tensor.half() for name, tensor in tensors.items()}
 
 

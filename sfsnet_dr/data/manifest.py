@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Final
 
-from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.core.errors import InputError
 
 NAME: Final = "manifest.jsonl"
 
@@ -45,7 +45,7 @@ class Manifest:
         spec_hash: if given, the specification that the dataset must be of.
 
     Raises:
-        BadInput: if a line is damaged, or lists a bundle of another specification.
+        InputError: if a line is damaged, or lists a bundle of another specification.
     """
 
     def __init__(self, folder: Path | str, spec_hash: str | None = None) -> None:
@@ -63,11 +63,13 @@ class Manifest:
         """Add a line once its bundle is in place.
 
         Raises:
-            BadInput: for another specification than the entries before, or a file already listed.
+            InputError: for another specification than the entries before, or a file already listed.
         """
         self._check(entry)
         if any(entry.file == other.file for other in self.entries):
-            raise BadInput(f"{self.path}: {entry.file} is already listed; remove it or choose another folder")
+            raise InputError(
+                f"{self.path}: {entry.file} is already listed; remove it or choose another folder"
+            )
         line = json.dumps(asdict(entry), sort_keys=True).encode() + b"\n"
         with self.path.open("r+b" if self.path.exists() else "xb") as file:
             file.truncate(self._whole)
@@ -85,7 +87,7 @@ class Manifest:
     def _check(self, entry: Entry) -> None:
         self.spec_hash = self.spec_hash or entry.spec_hash
         if entry.spec_hash != self.spec_hash:
-            raise BadInput(
+            raise InputError(
                 f"{self.path}: holds bundles of specification {entry.spec_hash}, {self.spec_hash} expected; "
                 "choose another folder"
             )
@@ -97,4 +99,4 @@ def _parse(where: str, line: str) -> Entry:
         known = {f.name for f in fields(Entry)}
         return Entry(**{key: value for key, value in values.items() if key in known})
     except (ValueError, TypeError, AttributeError) as error:
-        raise BadInput(f"{where}: not a manifest line ({error}); render the dataset again") from error
+        raise InputError(f"{where}: not a manifest line ({error}); render the dataset again") from error

@@ -23,11 +23,11 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from sfsnet_dr.base.atomic import atomic_path, write_text
-from sfsnet_dr.base.checks import BadInput, check_shape
-from sfsnet_dr.base.color_torch import linear_to_srgb, srgb_to_linear
-from sfsnet_dr.base.conventions import LIGHT_SIZE
-from sfsnet_dr.base.provenance import sha256
+from sfsnet_dr.core.color_torch import linear_to_srgb, srgb_to_linear
+from sfsnet_dr.core.conventions import LIGHT_SIZE
+from sfsnet_dr.core.errors import InputError, check_shape
+from sfsnet_dr.core.files import atomic_path, write_text
+from sfsnet_dr.core.provenance import sha256
 
 FORMAT: Final = "sfsnet_dr.pseudo_labels.1"
 SPEC: Final = "labels.json"
@@ -116,7 +116,7 @@ class LabelFolder:
         spec: all that decides the labels, JSON values.
 
     Raises:
-        BadInput: if the folder holds labels of another specification, naming what differs.
+        InputError: if the folder holds labels of another specification, naming what differs.
     """
 
     def __init__(self, folder: Path, spec: Mapping[str, Any]) -> None:
@@ -172,17 +172,21 @@ def load_pseudo_labels(folder: Path | str) -> PseudoFaces:
     """Read all labels of a finished folder, checking every shard's hash.
 
     Raises:
-        BadInput: if the folder is missing, unfinished, of another version, empty or damaged.
+        InputError: if the folder is missing, unfinished, of another version, empty or damaged.
     """
     folder = Path(folder)
     if not (folder / MANIFEST).is_file():
-        raise BadInput(f"{folder}: no finished labels ({MANIFEST}); run `sfsnet-dr pseudo-label` to its end")
+        raise InputError(
+            f"{folder}: no finished labels ({MANIFEST}); run `sfsnet-dr pseudo-label` to its end"
+        )
     manifest, spec = _read_json(folder / MANIFEST), _read_json(folder / SPEC)
     for found in (manifest, spec):
         if found.get("format") != FORMAT:
-            raise BadInput(f"{folder}: labels of format {found.get('format')!r} found, {FORMAT} expected")
+            raise InputError(f"{folder}: labels of format {found.get('format')!r} found, {FORMAT} expected")
     if not manifest["shards"]:
-        raise BadInput(f"{folder}: no labels in it; give photographs with faces to `sfsnet-dr pseudo-label`")
+        raise InputError(
+            f"{folder}: no labels in it; give photographs with faces to `sfsnet-dr pseudo-label`"
+        )
     parts, names = [], []
     for file, digest in sorted(manifest["shards"].items()):
         labels, own = _read_shard(folder / file, digest)
@@ -195,13 +199,15 @@ def load_pseudo_labels(folder: Path | str) -> PseudoFaces:
 
 def _read_shard(path: Path, digest: str) -> tuple[Labels, list[str]]:
     if not path.is_file() or sha256(path) != digest:
-        raise BadInput(f"{path}: missing or changed since it was written; run `sfsnet-dr pseudo-label` again")
+        raise InputError(
+            f"{path}: missing or changed since it was written; run `sfsnet-dr pseudo-label` again"
+        )
     try:
         tensors = load_file(path)
         labels = Labels(**tensors)
         header = _header(path)
     except (SafetensorError, TypeError, KeyError, ValueError) as error:
-        raise BadInput(f"{path}: no shard of labels ({' '.join(str(error).split())})") from error
+        raise InputError(f"{path}: no shard of labels ({' '.join(str(error).split())})") from error
     sizes = check_shape(f"{path}: image", labels.image, "N 3 S S", N=len(header["names"]))
     check_shape(f"{path}: light", labels.light, f"N {LIGHT_SIZE}", N=sizes["N"])
     return labels, header["names"]
@@ -216,7 +222,7 @@ def _header(path: Path) -> dict[str, Any]:
 def _check_spec(path: Path, found: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
     for key in sorted(found.keys() | wanted.keys()):
         if found.get(key) != wanted.get(key):
-            raise BadInput(
+            raise InputError(
                 f"{path}: labels with {key} = {found.get(key)!r} found, {wanted.get(key)!r} asked for; "
                 "choose another folder"
             )
@@ -226,7 +232,7 @@ def _read_json(path: Path) -> dict[str, Any]:
     try:
         values: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise BadInput(f"{path}: cannot be read ({error})") from error
+        raise InputError(f"{path}: cannot be read ({error})") from error
     return values
 
 

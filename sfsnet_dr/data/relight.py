@@ -16,11 +16,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from sfsnet_dr.base.checks import BadInput, check_shape
+from sfsnet_dr.core.errors import InputError, check_shape
 from sfsnet_dr.data.bundle import Bundle
-from sfsnet_dr.data.photo_effects import PhotoOptions, photograph, sample_effects
-from sfsnet_dr.data.surroundings import sample_surroundings
-from sfsnet_dr.scene.lights import NEAR, SceneLight
+from sfsnet_dr.data.transforms.background import sample_surroundings
+from sfsnet_dr.data.transforms.camera import PhotoOptions, photograph, sample_effects
+from sfsnet_dr.scene.lights.light import NEAR, SceneLight
 from sfsnet_dr.scene.spec import CameraSpec
 from sfsnet_dr.sh.coefficients import Radiance
 from sfsnet_dr.sh.kernel import order_of
@@ -85,7 +85,7 @@ def relight(bundle: Bundle, light: SceneLight, photo: PhotoOptions | None = None
         Linear image (H, W, 3): a photograph within [0, 1], else neither clipped above nor below.
 
     Raises:
-        BadInput: for a bundle that is not square when a photograph is wanted.
+        InputError: for a bundle that is not square when a photograph is wanted.
     """
     soft = light.softened(bundle.directions)
     weights = mixture(soft, bundle.directions, order_of(len(bundle.transport)))
@@ -113,7 +113,7 @@ def relight_transport(transport: NDArray[np.floating], light: Radiance) -> Array
         Linear image (H, W, 3), not clamped.
 
     Raises:
-        BadInput: if the number of coefficients differs.
+        InputError: if the number of coefficients differs.
         TypeError: for shading coefficients or bare numbers.
     """
     if not isinstance(light, Radiance):
@@ -141,7 +141,7 @@ def relight_scene(
         Linear image (H, W, 3), not clamped: the ringing of a sharp light's coefficients may be negative.
 
     Raises:
-        BadInput: if shapes do not fit.
+        InputError: if shapes do not fit.
     """
     sizes = check_shape("transport", transport, "K H W 3", K=len(light.radiance))
     sizes = {name: sizes[name] for name in ("H", "W")}
@@ -172,12 +172,12 @@ def relight_batch(
         Linear images (B, 3, H, W), not clamped.
 
     Raises:
-        BadInput: if the shapes do not fit, or one of ``lamps`` and ``irradiance`` is missing.
+        InputError: if the shapes do not fit, or one of ``lamps`` and ``irradiance`` is missing.
     """
     sizes = check_shape("transport", transport, "B K 3 H W")
     check_shape("radiance", radiance, "B K 3", B=sizes["B"], K=sizes["K"])
     if (lamps is None) != (irradiance is None):
-        raise BadInput("relight_batch: lamps and irradiance belong together, one of them found")
+        raise InputError("relight_batch: lamps and irradiance belong together, one of them found")
     image = torch.zeros(sizes["B"], 3, sizes["H"], sizes["W"], device=transport.device)
     _add_responses(image, transport, radiance)
     outer = {name: sizes[name] for name in ("B", "H", "W")}
@@ -200,4 +200,4 @@ def _add_responses(image: Tensor, responses: Tensor, weights: Tensor) -> None:
 
 def _check_gloss(count: int, coefficients: int) -> None:
     if count not in (0, 9) or count > coefficients:
-        raise BadInput(f"gloss: {count} responses found, 0 or 9, and no more than the transport, allowed")
+        raise InputError(f"gloss: {count} responses found, 0 or 9, and no more than the transport, allowed")

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.core.errors import InputError
 
 
 class Interval(NamedTuple):
@@ -35,15 +35,15 @@ def interval(
         draws: number of samples.
 
     Raises:
-        BadInput: for fewer than 2 cases, values that are not finite, or a level outside (0, 1).
+        InputError: for fewer than 2 cases, values that are not finite, or a level outside (0, 1).
     """
     cases = np.asarray(values, dtype=np.float64)
     if cases.ndim == 0 or cases.shape[0] < 2:
-        raise BadInput(f"values: shape {cases.shape} found, at least 2 cases expected")
+        raise InputError(f"values: shape {cases.shape} found, at least 2 cases expected")
     if not np.isfinite(cases).all():
-        raise BadInput("values: NaN or inf found, finite values expected")
+        raise InputError("values: NaN or inf found, finite values expected")
     if not 0 < level < 1:
-        raise BadInput(f"level: {level} found, a number between 0 and 1 expected")
+        raise InputError(f"level: {level} found, a number between 0 and 1 expected")
     generator = np.random.default_rng(seed)
     found = [statistic(cases[generator.integers(len(cases), size=len(cases))]) for _ in range(draws)]
     low, high = np.quantile(found, [(1 - level) / 2, (1 + level) / 2])

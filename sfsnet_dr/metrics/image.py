@@ -1,11 +1,17 @@
-"""Errors of images: relative in linear light, and in 8-bit sRGB units to stand beside published tables."""
+"""Errors of images: relative in linear light, and in 8-bit sRGB units to stand beside published tables.
+
+FLIP, a perceptual difference of images (Andersson et al. 2020), where ``flip-evaluator`` is installed.
+"""
 
 from __future__ import annotations
+
+from importlib.util import find_spec
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.core.errors import InputError, check_shape
 
 Array = npt.NDArray[np.float64]
 
@@ -19,12 +25,12 @@ def rel_rmse(image: npt.ArrayLike, reference: npt.ArrayLike, mask: npt.ArrayLike
         mask: weights (..., H, W), all 1 if not given.
 
     Raises:
-        BadInput: for shapes that do not fit, NaN or inf, an empty mask or a black reference.
+        InputError: for shapes that do not fit, NaN or inf, an empty mask or a black reference.
     """
     a, b, weight = _checked(image, reference, mask)
     power = _mean(b * b, weight)
     if power == 0:
-        raise BadInput("reference: black inside the mask, a relative error needs a lit one")
+        raise InputError("reference: black inside the mask, a relative error needs a lit one")
     return float(np.sqrt(_mean((a - b) ** 2, weight) / power))
 
 
@@ -50,7 +56,7 @@ def psnr(image: npt.ArrayLike, reference: npt.ArrayLike, mask: npt.ArrayLike | N
 
 
 def _encode(linear: Array) -> Array:
-    from sfsnet_dr.base.color import linear_to_srgb  # colour-science is slow to import
+    from sfsnet_dr.core.color import linear_to_srgb  # colour-science is slow to import
 
     return 255 * np.asarray(linear_to_srgb(np.clip(linear, 0, 1)), dtype=np.float64)
 
@@ -64,15 +70,58 @@ def _checked(
 ) -> tuple[Array, Array, Array]:
     a, b = np.asarray(image, dtype=np.float64), np.asarray(reference, dtype=np.float64)
     if a.ndim < 3 or a.shape != b.shape:
-        raise BadInput(
+        raise InputError(
             f"image: shape {a.shape} against reference {b.shape}, two equal (..., H, W, C) expected"
         )
     weight = np.ones(a.shape[:-1]) if mask is None else np.asarray(mask, dtype=np.float64)
     if weight.shape != a.shape[:-1]:
-        raise BadInput(f"mask: shape {weight.shape} found, {a.shape[:-1]} expected as of the image")
+        raise InputError(f"mask: shape {weight.shape} found, {a.shape[:-1]} expected as of the image")
     for name, array in (("image", a), ("reference", b), ("mask", weight)):
         if not np.isfinite(array).all():
-            raise BadInput(f"{name}: NaN or inf found, finite values expected")
+            raise InputError(f"{name}: NaN or inf found, finite values expected")
     if (weight < 0).any() or weight.sum() <= 0:
-        raise BadInput("mask: negative or no weight at all found, weights from 0 to 1 expected")
+        raise InputError("mask: negative or no weight at all found, weights from 0 to 1 expected")
     return a, b, weight
+
+
+#: How to get it: it is optional, because it only reports.
+INSTALL: Final = "pip install flip-evaluator"
+
+
+def has_flip() -> bool:
+    """Whether the optional package is there."""
+    return find_spec("flip_evaluator") is not None
+
+
+def flip(image: npt.ArrayLike, reference: npt.ArrayLike, mask: npt.ArrayLike) -> float:
+    """Mean of the FLIP map over a mask, 0 (equal) to 1, for a viewer at 67 pixels a degree.
+
+    What lies outside the mask is made equal in both images.
+
+    Args:
+        image: (H, W, 3) linear; clipped to [0, 1] and encoded as sRGB.
+        reference: the same shape.
+        mask: (H, W), weights from 0 to 1.
+
+    Raises:
+        InputError: for other shapes, an empty mask, or where the package is missing.
+    """
+    if not has_flip():
+        raise InputError(f"FLIP: not installed; {INSTALL}")
+    import flip_evaluator
+
+    from sfsnet_dr.core.color import linear_to_srgb
+
+    pair = [np.asarray(values, dtype=np.float64) for values in (reference, image)]
+    weight = np.asarray(mask, dtype=np.float64)
+    sizes = check_shape("image", pair[1], "H W 3")
+    check_shape("reference", pair[0], "H W 3", **sizes)
+    check_shape("mask", weight, "H W", **sizes)
+    if weight.sum() <= 0:
+        raise InputError("mask: empty, at least one pixel expected")
+    shown = [
+        np.asarray(linear_to_srgb(np.clip(values, 0, 1)) * (weight[..., None] > 0), dtype=np.float32)
+        for values in pair
+    ]
+    map_, _, _ = flip_evaluator.evaluate(*shown, "LDR", applyMagma=False, computeMeanError=False)
+    return float((np.asarray(map_)[..., 0] * weight).sum() / weight.sum())

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.core.errors import InputError
 
 Array = npt.NDArray[np.float64]
 
@@ -53,18 +53,20 @@ def angular_error_deg(a: npt.ArrayLike, b: npt.ArrayLike, mask: npt.ArrayLike) -
         mask: (...); pixels above 1/2 are counted.
 
     Raises:
-        BadInput: for shapes that do not fit, an empty mask, or a zero, NaN or infinite normal inside it.
+        InputError: for shapes that do not fit, an empty mask, or a zero, NaN or infinite normal inside it.
     """
     u, v = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
     chosen = np.asarray(mask) > 0.5
     for name, array in (("a", u), ("b", v)):
         if array.shape != (*chosen.shape, 3):
-            raise BadInput(f"{name}: shape {array.shape} found, {(*chosen.shape, 3)} expected as of the mask")
+            raise InputError(
+                f"{name}: shape {array.shape} found, {(*chosen.shape, 3)} expected as of the mask"
+            )
         length = np.linalg.norm(array[chosen], axis=-1)
         if not (np.isfinite(length) & (length > 0)).all():
-            raise BadInput(f"{name}: a zero, NaN or infinite normal found inside the mask")
+            raise InputError(f"{name}: a zero, NaN or infinite normal found inside the mask")
     if not chosen.any():
-        raise BadInput("mask: no pixel above 1/2 found, at least one expected")
+        raise InputError("mask: no pixel above 1/2 found, at least one expected")
     angle = angles_deg(u[chosen], v[chosen])
     below20, below25, below30 = (100 * float(np.mean(angle < limit)) for limit in (20, 25, 30))
     return NormalErrors(float(angle.mean()), float(angle.std()), below20, below25, below30, int(angle.size))

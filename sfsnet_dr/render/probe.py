@@ -1,7 +1,7 @@
 """The smallest runs that show that Dr.Jit and Mitsuba work here; each is checked against a closed form.
 
 They may end the process (an unsuitable LLVM aborts it), so they are run in a process of their own by
-``sfsnet_dr.study.doctor``.
+``sfsnet_dr.experiments.doctor``.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sfsnet_dr.base import runtime
-from sfsnet_dr.base.checks import WorkFailed
+from sfsnet_dr.core import runtime
+from sfsnet_dr.core.errors import RunError
 
 _ALBEDO: Final = 0.5
 #: A few float32 roundings (6e-8 each) in every number compared, times a margin of 20.
@@ -79,4 +79,4 @@ STEPS: Final[dict[str, Callable[[], Finding]]] = {"variant": start, "kernel": ke
 def _check(name: str, found: NDArray[np.float32], expected: NDArray[np.float64]) -> None:
     if not np.allclose(found, expected, rtol=_RELATIVE, atol=_RELATIVE):
         worst = float(np.abs(found - expected).max())
-        raise WorkFailed(f"{name}: off by {worst:.3g}, at most {_RELATIVE:g} expected")
+        raise RunError(f"{name}: off by {worst:.3g}, at most {_RELATIVE:g} expected")

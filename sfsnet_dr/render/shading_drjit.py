@@ -16,11 +16,10 @@ from typing import Any, cast
 import torch
 from torch import Tensor
 
-from sfsnet_dr.render.drjit_bridge import first_order_only
-from sfsnet_dr.render.drjit_call import Call, Signature, frozen, plain
-from sfsnet_dr.render.drjit_lanes import Lanes, Source, sweep
-from sfsnet_dr.render.drjit_pixel import Shaded, unfolded
-from sfsnet_dr.render.shading_inputs import COLOURS
+from sfsnet_dr.render.drjit_interop import first_order_only
+from sfsnet_dr.render.drjit_kernel import Call, Shaded, Signature, frozen, plain, unfolded
+from sfsnet_dr.render.drjit_loop import Lanes, Source, sweep
+from sfsnet_dr.render.shading_numpy import COLOURS
 from sfsnet_dr.render.shading_torch import match, match_shading
 
 
@@ -38,7 +37,7 @@ def shading(normal: Tensor, light: Tensor) -> Tensor:
         Differentiable once, backwards, in both arguments, with the same bits in every run.
 
     Raises:
-        BadInput: naming the argument whose shape does not fit, or a tensor on another device.
+        InputError: naming the argument whose shape does not fit, or a tensor on another device.
     """
     normal, light = match_shading(normal, light)
     return cast(Tensor, _Render.apply(plain(normal), None, plain(light)))  # type: ignore[no-untyped-call]
@@ -57,7 +56,7 @@ def f_render(normal: Tensor, albedo: Tensor, light: Tensor) -> Tensor:
         Differentiable once, backwards, in all three arguments, with the same bits in every run.
 
     Raises:
-        BadInput: naming the argument whose shape does not fit, or a tensor on another device.
+        InputError: naming the argument whose shape does not fit, or a tensor on another device.
     """
     inputs = [plain(x) for x in match(normal, albedo, light)]
     return cast(Tensor, _Render.apply(*inputs))  # type: ignore[no-untyped-call]

@@ -11,8 +11,8 @@ from typing import Final
 import torch
 from torch import Tensor
 
-from sfsnet_dr.base.conventions import NORMAL_EPSILON
-from sfsnet_dr.render.shading_inputs import COLOURS, render_sizes
+from sfsnet_dr.core.conventions import NORMAL_EPSILON
+from sfsnet_dr.render.shading_numpy import COLOURS, render_sizes
 from sfsnet_dr.sh.basis_torch import sh_basis
 from sfsnet_dr.sh.polynomials import MAX_POLYNOMIAL_ORDER
 
@@ -44,7 +44,7 @@ def shading(normal: Tensor, light: Tensor) -> Tensor:
         (B, 3, H, W), linear; float64 if an argument is, else float32 (half precision is raised to it).
 
     Raises:
-        BadInput: naming the argument whose shape does not fit.
+        InputError: naming the argument whose shape does not fit.
     """
     normal, light = match_shading(normal, light)
     order = render_sizes(normal, light, max_order=MAX_ORDER).order
@@ -67,7 +67,7 @@ def f_render(normal: Tensor, albedo: Tensor, light: Tensor) -> Tensor:
         (B, 3, H, W); float64 if an argument is, else float32. Differentiable in all three arguments.
 
     Raises:
-        BadInput: naming the argument whose shape does not fit.
+        InputError: naming the argument whose shape does not fit.
     """
     normal, albedo, light = match(normal, albedo, light)
     return albedo * shading(normal, light)

@@ -19,8 +19,8 @@ from typing import Final, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from sfsnet_dr.render.points import Points
-from sfsnet_dr.render.scatter import Scatter, prepare
+from sfsnet_dr.render.bsdf_sampling import Scatter, prepare
+from sfsnet_dr.render.sobol import Points
 from sfsnet_dr.scene.jit import dr, mi, upload
 from sfsnet_dr.scene.mesh import Region
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene, camera_rays

@@ -15,7 +15,7 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from sfsnet_dr.base import atomic
+from sfsnet_dr.core import files
 
 _CODE = re.compile(r"`([^`]+)`")
 #: A sign, a comparison or a plus-minus may stand before the digits; an empty cell or a dash is allowed.
@@ -152,7 +152,7 @@ def write_page(
     path: Path | str, title: str, lead: str, sections: Sequence[Section], *, footer: str = ""
 ) -> None:
     """Write ``page`` as a whole file."""
-    atomic.write_text(path, page(title, lead, sections, footer=footer))
+    files.write_text(path, page(title, lead, sections, footer=footer))
 
 
 def _prose(text: str) -> Markup:

@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
-from sfsnet_dr.report.figures import INK, PALETTE, SOFT, STYLE, plain_log, png, spread
+from sfsnet_dr.report.plots import INK, PALETTE, SOFT, STYLE, plain_log, png, spread
 
 #: From a label's left end to its point.
 _LEADER = {"arrowstyle": "-", "linewidth": 0.6, "shrinkA": 1, "shrinkB": 4, "relpos": (0.0, 0.5)}

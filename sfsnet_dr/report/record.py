@@ -1,17 +1,21 @@
-"""One schema for every measured number. Tables, figures and pages only read records."""
+"""One schema for every measured number. Tables, figures and pages only read records.
+
+Every record of a page as its last table.
+"""
 
 from __future__ import annotations
 
 import json
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from sfsnet_dr.base import atomic
-from sfsnet_dr.base.checks import BadInput, WorkFailed, nearest
+from sfsnet_dr.core import files
+from sfsnet_dr.core.errors import InputError, RunError, nearest
+from sfsnet_dr.report.html import Section, Table
 
 #: What ``what`` looks like: lower-case words joined by dots, from the general to the particular.
 _DOTTED = re.compile(r"[a-z0-9][a-z0-9_-]*(\.[a-z0-9][a-z0-9_-]*)+")
@@ -32,7 +36,7 @@ class Record:
         seed: the seed of the random numbers used, or None where none were.
 
     Raises:
-        WorkFailed: if a number is not finite or a field has another type; such a result must not be stored.
+        RunError: if a number is not finite or a field has another type; such a result must not be stored.
     """
 
     what: str
@@ -47,7 +51,7 @@ class Record:
     def __post_init__(self) -> None:
         problem = _problem(asdict(self))
         if problem:
-            raise WorkFailed(f"record {self.what!r}: {problem}")
+            raise RunError(f"record {self.what!r}: {problem}")
 
 
 def measured(
@@ -60,7 +64,7 @@ def measured(
     seed: int | None = None,
 ) -> Record:
     """A record with the versions and the machine of this process filled in."""
-    from sfsnet_dr.base import provenance
+    from sfsnet_dr.core import provenance
 
     ends = None if interval is None else (float(interval[0]), float(interval[1]))
     return Record(
@@ -87,30 +91,30 @@ def to_json(records: Iterable[Record]) -> str:
 
 def write_records(path: Path | str, records: Iterable[Record]) -> None:
     """Write a JSON array of records as a whole file."""
-    atomic.write_text(path, to_json(records) + "\n")
+    files.write_text(path, to_json(records) + "\n")
 
 
 def read_records(path: Path | str) -> list[Record]:
     """Read what ``write_records`` wrote.
 
     Raises:
-        BadInput: naming the file, the position of the record, the field, what was found and what is allowed.
+        InputError: naming the file, the record, the field, what was found and what is allowed.
     """
     path = Path(path)
     try:
         rows = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
-        raise BadInput(f"{path}: no such file; a JSON array of records is needed") from error
+        raise InputError(f"{path}: no such file; a JSON array of records is needed") from error
     except (OSError, ValueError) as error:
-        raise BadInput(
+        raise InputError(
             f"{path}: not readable as JSON ({error}); a JSON array of records is needed"
         ) from error
     if not isinstance(rows, list):
-        raise BadInput(f"{path}: a JSON {type(rows).__name__} found, an array of records is needed")
+        raise InputError(f"{path}: a JSON {type(rows).__name__} found, an array of records is needed")
     for position, row in enumerate(rows):
         problem = _problem(row)
         if problem:
-            raise BadInput(f"{path}: record {position}: {problem}")
+            raise InputError(f"{path}: record {position}: {problem}")
     return [Record(**(row | {"interval": _pair(row["interval"])})) for row in rows]
 
 
@@ -166,3 +170,23 @@ _ALLOWED = {
     "machine": "an object",
     "seed": "null or a whole number",
 }
+
+
+def all_numbers(records: Sequence[Record], over: str) -> Section:
+    """A section with each record's value, 95 % interval and unit.
+
+    Args:
+        records: what ``records.json`` beside the page holds.
+        over: what the intervals are over, "images" say.
+    """
+    rows = [
+        [
+            record.what,
+            f"{record.value:.4g}",
+            "" if record.interval is None else f"{record.interval[0]:.4g} to {record.interval[1]:.4g}",
+            record.unit,
+        ]
+        for record in records
+    ]
+    caption = f"The same as in `records.json`, with 95 % intervals over {over}."
+    return Section("All numbers", [Table(["what", "value", "interval", "unit"], rows, caption)])

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sfsnet_dr.base import runtime
+from sfsnet_dr.core import runtime
 
 runtime.start()
 

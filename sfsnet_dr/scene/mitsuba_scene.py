@@ -12,13 +12,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sfsnet_dr.base.checks import BadInput, check_shape
-from sfsnet_dr.scene.equirect import MAP_SIZE
-from sfsnet_dr.scene.interface import DULL_ALPHA, SHINY_ALPHA, body_share, lobe
+from sfsnet_dr.core.errors import InputError, check_shape
+from sfsnet_dr.scene.bsdf import DULL_ALPHA, PLUGIN, SHINY_ALPHA, body_share, lobe
 from sfsnet_dr.scene.jit import dr, mi, upload
+from sfsnet_dr.scene.lights.equirect import MAP_SIZE
 from sfsnet_dr.scene.mesh import Mesh
 from sfsnet_dr.scene.spec import CameraSpec
-from sfsnet_dr.scene.vertex_texture import PLUGIN
 
 Array = npt.NDArray[np.float64]
 
@@ -119,10 +118,10 @@ class SurfaceScene:
         """Move the camera.
 
         Raises:
-            BadInput: for another image size.
+            InputError: for another image size.
         """
         if camera.size != self.camera.size:
-            raise BadInput(
+            raise InputError(
                 f"camera.size: {camera.size} found, {self.camera.size} expected; make a new SurfaceScene"
             )
         if camera == self.camera:
@@ -139,10 +138,10 @@ class SurfaceScene:
         Goes through the scene's parameters: through the mesh's own, rays would go on hitting the old surface.
 
         Raises:
-            BadInput: if the mesh has other counts than the first one.
+            InputError: if the mesh has other counts than the first one.
         """
         if not self.fits(mesh, self.camera):
-            raise BadInput(
+            raise InputError(
                 f"mesh: {len(mesh.vertices)} vertices and {len(mesh.faces)} triangles found, "
                 f"{self._vertex_count} and {self._face_count} expected; make a new SurfaceScene"
             )
@@ -157,14 +156,14 @@ class SurfaceScene:
             image: (64, 128, 3) linear radiance in the convention of ``sh.projection``, or one number.
 
         Raises:
-            BadInput: for another shape, values that are no radiance, or a scene with directional lights.
+            InputError: for another shape, values that are no radiance, or a scene with directional lights.
         """
         if not self._has_environment:
-            raise BadInput("environment: this scene has directional lights only; make another SurfaceScene")
+            raise InputError("environment: this scene has directional lights only; make another SurfaceScene")
         full = np.broadcast_to(np.asarray(image, dtype=np.float32), (*MAP_SIZE, 3))
         check_shape("environment", full, f"{MAP_SIZE[0]} {MAP_SIZE[1]} 3")
         if not np.isfinite(full).all() or full.min() < 0:
-            raise BadInput(
+            raise InputError(
                 "environment: NaN, inf or negative radiance found, finite values from 0 on allowed"
             )
         wrapped = np.concatenate([full[:, -1:], full, full[:, :1]], axis=1)
@@ -178,10 +177,10 @@ class SurfaceScene:
             lights: as many pairs of direction and irradiance as the scene was made with.
 
         Raises:
-            BadInput: for another number of lights.
+            InputError: for another number of lights.
         """
         if len(lights) != self._directional_count:
-            raise BadInput(
+            raise InputError(
                 f"directional: {len(lights)} lights found, {self._directional_count} expected; "
                 "make a new SurfaceScene"
             )

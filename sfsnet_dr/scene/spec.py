@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from sfsnet_dr.base.checks import BadInput
-from sfsnet_dr.base.config import added, load_toml
-from sfsnet_dr.base.conventions import FACE_SIZE
-from sfsnet_dr.scene.light_spec import LightSpec
+from sfsnet_dr.core.config import added, load_toml
+from sfsnet_dr.core.conventions import FACE_SIZE
+from sfsnet_dr.core.errors import InputError
+from sfsnet_dr.scene.lights.spec import LightSpec
 
 #: Shapes that are face models, as opposed to the closed-form ones.
 FACE_SHAPES = ("anny", "ict", "basel")
@@ -125,7 +125,7 @@ def load_scene(path: Path | str) -> SceneSpec:
     """Read and check a scene file.
 
     Raises:
-        BadInput: naming the file and key, what was found and what is allowed.
+        InputError: naming the file and key, what was found and what is allowed.
     """
     spec = load_toml(SceneSpec, path)
     check_scene(spec, str(path))
@@ -136,7 +136,7 @@ def check_scene(spec: SceneSpec, where: str) -> None:
     """Refuse numbers out of their range; ``where`` prefixes the message.
 
     Raises:
-        BadInput: naming the key, what was found and what is allowed.
+        InputError: naming the key, what was found and what is allowed.
     """
     limits = {
         "camera.distance": (spec.camera.distance, 3.0, 1e4),
@@ -163,7 +163,9 @@ def check_scene(spec: SceneSpec, where: str) -> None:
     limits |= {f"albedo[{k}]": (value, 0.0, 1.0) for k, value in enumerate(spec.albedo or ())}
     for key, (value, low, high) in limits.items():
         if not low <= value <= high:
-            raise BadInput(f"{where}: {key}: {value} found, {low} to {high} allowed")
+            raise InputError(f"{where}: {key}: {value} found, {low} to {high} allowed")
     low, high = spec.head.depth
     if low > high:
-        raise BadInput(f"{where}: head.depth: {low:g} to {high:g} found, the smaller number must come first")
+        raise InputError(
+            f"{where}: head.depth: {low:g} to {high:g} found, the smaller number must come first"
+        )

@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.sh.kernel import check_order
 
 
@@ -28,12 +28,12 @@ def sh_basis(directions: ArrayLike, order: int) -> NDArray[np.float64]:
         (..., K) float64 with K = (order + 1)^2.
 
     Raises:
-        BadInput: if the last dimension is not 3 or the order is out of range.
+        InputError: if the last dimension is not 3 or the order is out of range.
     """
     order = check_order(order)
     vectors = np.asarray(directions, dtype=np.float64)
     if vectors.ndim == 0 or vectors.shape[-1] != 3:
-        raise BadInput(f"directions: shape {vectors.shape} found, (..., 3) expected")
+        raise InputError(f"directions: shape {vectors.shape} found, (..., 3) expected")
     x, y, z = np.moveaxis(vectors, -1, 0)
     values = np.empty((*vectors.shape[:-1], (order + 1) ** 2))
     cosine, sine = np.ones_like(z), np.zeros_like(z)  # sin(theta)^m times cos(m phi), sin(m phi)

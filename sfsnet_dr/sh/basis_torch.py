@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.sh.polynomials import sh_polynomials
 
 
@@ -22,10 +22,10 @@ def sh_basis(directions: Tensor, order: int, dim: int = -1) -> Tensor:
         The same shape with K = (order + 1)^2 in place of 3; dtype and device of ``directions``.
 
     Raises:
-        BadInput: if dimension ``dim`` does not hold 3 components or the order is out of range.
+        InputError: if dimension ``dim`` does not hold 3 components or the order is out of range.
     """
     if directions.ndim == 0 or directions.shape[dim] != 3:
-        raise BadInput(
+        raise InputError(
             f"directions: shape {tuple(directions.shape)} found, 3 components in dimension {dim} expected"
         )
     x, y, z = directions.unbind(dim)

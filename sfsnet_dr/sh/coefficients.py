@@ -14,7 +14,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.sh.basis import sh_basis
 from sfsnet_dr.sh.kernel import band_of, check_order, clamped_cosine, order_of
 
@@ -28,7 +28,7 @@ class _Coefficients:
             columns R, G, B (linear, Rec. 709).
 
     Raises:
-        BadInput: if the shape is not (K, 3) with K = 1, 4, 9, ..., 81, or a value is not finite.
+        InputError: if the shape is not (K, 3) with K = 1, 4, 9, ..., 81, or a value is not finite.
     """
 
     values: NDArray[np.float64]
@@ -37,10 +37,10 @@ class _Coefficients:
         values = np.array(self.values, dtype=np.float64)
         name = type(self).__name__
         if values.ndim != 2 or values.shape[1] != 3:
-            raise BadInput(f"{name}: shape {values.shape} found, (K, 3) expected")
+            raise InputError(f"{name}: shape {values.shape} found, (K, 3) expected")
         order_of(values.shape[0])
         if not np.isfinite(values).all():
-            raise BadInput(f"{name}: NaN or inf found, finite coefficients expected")
+            raise InputError(f"{name}: NaN or inf found, finite coefficients expected")
         values.setflags(write=False)
         object.__setattr__(self, "values", values)
 
@@ -49,7 +49,7 @@ class _Coefficients:
         """From (3K,) numbers: K of red, K of green, K of blue, the network's layout."""
         numbers = np.asarray(flat, dtype=np.float64)
         if numbers.ndim != 1 or numbers.size % 3:
-            raise BadInput(f"{cls.__name__}: shape {numbers.shape} found, (3 K,) expected")
+            raise InputError(f"{cls.__name__}: shape {numbers.shape} found, (3 K,) expected")
         return cls(numbers.reshape(3, -1).T)
 
     @property
@@ -65,7 +65,7 @@ class _Coefficients:
         """Keep bands 0..order.
 
         Raises:
-            BadInput: if the order is above this one's.
+            InputError: if the order is above this one's.
         """
         order = check_order(order, self.order)
         return type(self)(self.values[: (order + 1) ** 2])
@@ -75,11 +75,11 @@ class _Coefficients:
         return np.asarray(sh_basis(directions, self.order) @ self.values)
 
     def __add__(self, other: Self) -> Self:
-        """Both lights together. Radiance and shading, or two orders, do not add: TypeError, BadInput."""
+        """Both lights together. Radiance and shading, or two orders, do not add: TypeError, InputError."""
         if not isinstance(other, type(self)):
             raise TypeError(f"{type(self).__name__} + {type(other).__name__}: convert one of them first")
         if other.order != self.order:
-            raise BadInput(
+            raise InputError(
                 f"{type(self).__name__}: orders {self.order} and {other.order} found, equal ones expected"
             )
         return type(self)(self.values + other.values)
@@ -112,10 +112,10 @@ class Shading(_Coefficients):
         """The environment behind this shading: l_lm = pi L_lm / A_l.
 
         Raises:
-            BadInput: above order 2, where A_3 = 0 leaves the odd bands of the light undetermined.
+            InputError: above order 2, where A_3 = 0 leaves the odd bands of the light undetermined.
         """
         if self.order > 2:
-            raise BadInput(
+            raise InputError(
                 f"Shading: order {self.order} found, at most 2 can become radiance; truncate it first"
             )
         return Radiance(self.values / _shading_factors(self.order)[:, None])

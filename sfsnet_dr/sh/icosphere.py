@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, SphericalVoronoi
 
-from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.core.errors import InputError
 
 Array = NDArray[np.float64]
 
@@ -24,10 +24,10 @@ def icosphere(level: int) -> Array:
     """Unit vectors (10 * 4^level + 2, 3), read-only; level 3 has 642, about 8 degrees apart.
 
     Raises:
-        BadInput: for a level outside 0 to ``MAX_LEVEL``.
+        InputError: for a level outside 0 to ``MAX_LEVEL``.
     """
     if not 0 <= level <= MAX_LEVEL:
-        raise BadInput(f"level: {level} found, 0 to {MAX_LEVEL} allowed")
+        raise InputError(f"level: {level} found, 0 to {MAX_LEVEL} allowed")
     corners = np.array([(0.0, a, b * _GOLDEN) for a in (-1, 1) for b in (-1, 1)])
     points = np.concatenate([np.roll(corners, turn, axis=1) for turn in range(3)])
     for _ in range(level):

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.core.errors import InputError
 
 #: Highest order of the NumPy basis and of everything built on it.
 MAX_ORDER: Final = 8
@@ -37,11 +37,11 @@ def check_order(order: int, highest: int = MAX_ORDER) -> int:
     """Return the order as an int.
 
     Raises:
-        BadInput: if it is outside 0..highest.
+        InputError: if it is outside 0..highest.
     """
     order = operator.index(order)
     if not 0 <= order <= highest:
-        raise BadInput(f"order: {order} found, 0 to {highest} allowed")
+        raise InputError(f"order: {order} found, 0 to {highest} allowed")
     return order
 
 
@@ -49,12 +49,12 @@ def order_of(count: int, highest: int = MAX_ORDER) -> int:
     """Order whose basis has ``count`` functions.
 
     Raises:
-        BadInput: if ``count`` is not (order + 1)^2 for an order in 0..highest.
+        InputError: if ``count`` is not (order + 1)^2 for an order in 0..highest.
     """
     order = math.isqrt(max(count, 0)) - 1
     if (order + 1) ** 2 != count or not 0 <= order <= highest:
         allowed = ", ".join(str((n + 1) ** 2) for n in range(highest + 1))
-        raise BadInput(f"coefficients: {count} found, one of {allowed} per colour allowed")
+        raise InputError(f"coefficients: {count} found, one of {allowed} per colour allowed")
     return order
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.sh.basis import basis_index, sh_basis
 from sfsnet_dr.sh.coefficients import Radiance
 from sfsnet_dr.sh.kernel import check_order
@@ -29,7 +29,7 @@ def equirect_directions(height: int, width: int) -> NDArray[np.float64]:
     """Unit directions of the texel centres, (H, W, 3); see the module's convention.
 
     Raises:
-        BadInput: if the image would be smaller than 3 x 3.
+        InputError: if the image would be smaller than 3 x 3.
     """
     _check_size(height, width)
     theta = np.pi * np.arange(height) / (height - 1)
@@ -60,11 +60,11 @@ def project_equirect(image: ArrayLike, order: int) -> Radiance:
         Radiance coefficients (K, 3).
 
     Raises:
-        BadInput: if the shape is wrong or a value is not finite.
+        InputError: if the shape is wrong or a value is not finite.
     """
     pixels = np.asarray(image, dtype=np.float64)
     if pixels.ndim != 3 or pixels.shape[2] != 3:
-        raise BadInput(f"environment map: shape {pixels.shape} found, (H, W, 3) expected")
+        raise InputError(f"environment map: shape {pixels.shape} found, (H, W, 3) expected")
     height, width, _ = pixels.shape
     _check_size(height, width)
     order = check_order(order)
@@ -90,22 +90,22 @@ def project_directional(direction: ArrayLike, irradiance: ArrayLike, order: int)
         Radiance coefficients (K, 3).
 
     Raises:
-        BadInput: for wrong shapes or a direction without length.
+        InputError: for wrong shapes or a direction without length.
     """
     vector, power = np.asarray(direction, dtype=np.float64), np.asarray(irradiance, dtype=np.float64)
     for name, found in (("direction", vector), ("irradiance", power)):
         if found.shape != (3,):
-            raise BadInput(f"{name}: shape {found.shape} found, (3,) expected")
+            raise InputError(f"{name}: shape {found.shape} found, (3,) expected")
     length = float(np.linalg.norm(vector))
     if not 0 < length < np.inf:
-        raise BadInput(f"direction: length {length} found, a finite vector other than zero expected")
+        raise InputError(f"direction: length {length} found, a finite vector other than zero expected")
     return Radiance(np.outer(sh_basis(vector / length, order), power))
 
 
 def _check_size(height: int, width: int) -> None:
     # Of fewer rows Mitsuba makes three by a resampling of its own.
     if height < 3 or width < 3:
-        raise BadInput(f"environment map: {height} x {width} found, at least 3 x 3 expected")
+        raise InputError(f"environment map: {height} x {width} found, at least 3 x 3 expected")
 
 
 def _row_integrals(height: int, order: int) -> NDArray[np.float64]:

@@ -7,7 +7,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sfsnet_dr.base.checks import BadInput
+from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.sh.basis import sh_basis
 from sfsnet_dr.sh.coefficients import Radiance, Shading
 from sfsnet_dr.sh.kernel import check_order, order_of
@@ -32,7 +32,7 @@ def rotation_matrix(rotation: ArrayLike, order: int) -> NDArray[np.float64]:
         (K, K) float64.
 
     Raises:
-        BadInput: if the matrix is not (3, 3) and orthogonal.
+        InputError: if the matrix is not (3, 3) and orthogonal.
     """
     matrix = _check_orthogonal(rotation)
     directions, weights = sphere_quadrature(2 * check_order(order))
@@ -73,8 +73,10 @@ def sphere_quadrature(degree: int) -> tuple[NDArray[np.float64], NDArray[np.floa
 def _check_orthogonal(rotation: ArrayLike) -> NDArray[np.float64]:
     matrix = np.asarray(rotation, dtype=np.float64)
     if matrix.shape != (3, 3):
-        raise BadInput(f"rotation: shape {matrix.shape} found, (3, 3) expected")
+        raise InputError(f"rotation: shape {matrix.shape} found, (3, 3) expected")
     error = float(np.abs(matrix.T @ matrix - np.eye(3)).max())
     if not error <= _ORTHOGONAL_WITHIN:  # also catches NaN
-        raise BadInput(f"rotation: R^T R differs from 1 by {error:.3g}, at most {_ORTHOGONAL_WITHIN} allowed")
+        raise InputError(
+            f"rotation: R^T R differs from 1 by {error:.3g}, at most {_ORTHOGONAL_WITHIN} allowed"
+        )
     return matrix

@@ -1,1 +1,0 @@
-"""Decompose a photograph and relight it."""

@@ -1,1 +1,0 @@
-"""Conventions, checks, the choice of LLVM, colour, image files and provenance."""

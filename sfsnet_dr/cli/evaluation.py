@@ -1,0 +1,197 @@
+"""Commands about databases of real faces and their ground truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from sfsnet_dr.cli.common import Json, Out, Result, command_line, of_records
+from sfsnet_dr.core.errors import InputError
+
+if TYPE_CHECKING:
+    from sfsnet_dr.report.record import Record
+
+Database = Literal["yale-b", "photoface", "multipie", "celeba", "folder"]
+Baseline = Literal["flat", "mean-face", "one-albedo", "mean-albedo", "3dmm", "sirfs"]
+DatabaseFolder = Positional[
+    Annotated[Path, arg(metavar="DIR", help="Its folder; the head of data/NAME.py says what is in it.")]
+]
+
+#: Lines of skipped files that are shown; all are counted.
+_SHOWN = 20
+
+
+@dataclass(frozen=True)
+class DataCheck:
+    """See whether a folder holds a face database as its reader expects it, and count what is in it.
+
+    Files that cannot be used are named with the reason. Of the photographs --decode are read and brought to
+    the canonical frame, spread evenly over all.
+
+    Example: sfsnet-dr data check yale-b CroppedYale
+    """
+
+    database: Positional[Annotated[Database, arg(metavar="NAME", help="Which database it is.")]]
+    folder: DatabaseFolder
+    decode: Annotated[int, arg(help="Photographs to decode; 0 for none.")] = 200
+    as_json: Json = False
+
+    def run(self) -> Result:
+        from sfsnet_dr.data.databases.registry import check_database
+        from sfsnet_dr.report.console import bar
+        from sfsnet_dr.report.record import dotted, measured
+
+        with bar("reading photographs", self.decode) as advance:
+            found = check_database(self.database, self.folder, self.decode, advance)
+        records = [
+            measured(f"data.{dotted(self.database)}.{name}", count, "1", command=command_line())
+            for name, count in found.counts.items()
+        ]
+        lines = [f"skipped: {item.name}: {item.reason}" for item in found.skipped[:_SHOWN]]
+        lines += [f"fewer than four usable lights: {name}" for name in found.few_lights[:_SHOWN]]
+        return of_records(records, *lines)
+
+
+@dataclass(frozen=True)
+class PhotometricStereo:
+    """Find normals and albedo of faces from photographs under known lights, as labels to test or train with.
+
+    DIR is a folder of Extended Yale B or Photoface. Each capture with four lights or more is solved by a
+    robust fit a pixel; the strengths of the lamps and what oblique light has too much are estimated from all
+    of them. With --lamps-by nothing is read of where the lamps were: pictures of one capture under a dozen or
+    more of them, and a network's first guess, tell it (estimation/light_calibration.py). OUT gets
+    surfaces.json, one .safetensors a capture (data/normal_labels.py) and sheet.png.
+
+    Example: sfsnet-dr photometric-stereo CroppedYale --out out/yale-b
+    """
+
+    folder: DatabaseFolder
+    out: Out
+    database: Annotated[Literal["yale-b", "photoface"], arg(help="Which database it is.")] = "yale-b"
+    lamps_by: Annotated[
+        str | None,
+        arg(
+            metavar="WEIGHTS",
+            help="Do not read where the lamps were but find it with this network's help.",
+        ),
+    ] = None
+    heads: Annotated[
+        tuple[Path, ...],
+        arg(
+            metavar="DIR...",
+            help="Folders of `sfsnet-dr synth`, with --lamps-by: how their heads face on average says which "
+            "way is straight ahead, and how steep they are how deep faces are; left out, the network's "
+            "mistakes about both stay in the lamps.",
+        ),
+    ] = ()
+    check_faces: Annotated[
+        int, arg(help="Rendered faces with known normals to check the method on first; 2 s each.")
+    ] = 0
+    as_json: Json = False
+
+    def run(self) -> Result:
+        from sfsnet_dr.data.databases.registry import open_database
+        from sfsnet_dr.experiments.photometric_stereo.captures import read_captures
+        from sfsnet_dr.experiments.photometric_stereo.run import label_records, label_surfaces, lamp_records
+        from sfsnet_dr.experiments.photometric_stereo.uncalibrated import lamp_errors, with_found_lamps
+        from sfsnet_dr.report.console import bar
+        from sfsnet_dr.report.record import write_records
+
+        if self.heads and self.lamps_by is None:
+            raise InputError("--heads: given without --lamps-by; where the lamps were is read then")
+        known = open_database(self.database, self.folder)
+        with bar("reading photographs", len(known.captures())) as advance:
+            read = read_captures(known, advance)
+        if self.lamps_by is not None:
+            with bar("finding the lamps", len(read.faces)) as advance:
+                read = with_found_lamps(read, self.lamps_by, self.heads, advance)
+        with bar("photometric stereo", len(read.faces)) as advance:
+            found = label_surfaces(read, self.out, on_capture=advance)
+        records = label_records(known, found, command_line()) + self._checked()
+        if self.lamps_by is not None:
+            errors = lamp_errors(known, read.listing)
+            records += lamp_records(read.listing, errors, command_line())
+        write_records(self.out / "records.json", records)
+        lines = [f"skipped: {name}: {reason}" for name, reason in list(found.skipped.items())[:_SHOWN]]
+        return of_records(records, *lines, f"labels: {self.out}")
+
+    def _checked(self) -> list[Record]:
+        if not self.check_faces:
+            return []
+        from sfsnet_dr.experiments.photometric_stereo.check import check_on_rendered_faces
+        from sfsnet_dr.experiments.photometric_stereo.run import check_records
+        from sfsnet_dr.report.console import bar
+
+        with bar("checking on rendered faces", self.check_faces) as advance:
+            errors = check_on_rendered_faces(range(self.check_faces), on_face=advance)
+        return check_records(errors, command_line())
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Measure networks and baselines on faces: normals, albedo, reconstruction, light, and their speed.
+
+    DATA is yale-b or photoface (the truth is made by photometric stereo), labels (what `sfsnet-dr
+    photometric-stereo` wrote), lights (classification of a database's lights alone), celeba, synthetic
+    (folders of `sfsnet-dr synth`; the bundles that training holds back), or all: whatever of these DIR or its
+    folders hold. Without such a word, it is a folder of photographs with landmarks. OUT gets records.json,
+    table.csv and index.html, a page that shows the people: mind the terms of the data.
+
+    Example: sfsnet-dr evaluate yale-b CroppedYale --weights out/sfsnet/weights.safetensors --out out/yale-b
+    """
+
+    data: Positional[Annotated[tuple[str, ...], arg(metavar="DATA DIR", help="What to measure on.")]]
+    out: Out
+    weights: Annotated[
+        tuple[Path, ...], arg(metavar="FILE", help="Weights of networks to measure beside the baselines.")
+    ] = ()
+    methods: Annotated[
+        tuple[Baseline, ...], arg(metavar="NAME", help="Baselines; left out, all that can run.")
+    ] = ()
+    landmarks: Annotated[
+        Path | None,
+        arg(metavar="FILE", help="For 3dmm: .npz with files and points (N, 68, 2); else looked for in DIR."),
+    ] = None
+    model_path: Annotated[
+        Path | None, arg(metavar="PATH", help="For 3dmm: ICT FaceKit, as `sfsnet-dr fit-lights` takes it.")
+    ] = None
+    faces: Annotated[
+        tuple[Path, ...], arg(metavar="DIR", help="For all: folders of rendered faces that lie elsewhere.")
+    ] = ()
+    most: Annotated[int, arg(help="Photographs of celeba, a folder or synthetic, at most.")] = 300
+    database: Annotated[
+        Literal["yale-b", "photoface", "multipie"], arg(help="Whose lights `lights` are.")
+    ] = "yale-b"
+    once: Annotated[
+        bool, arg(help="Do not ask networks for the mirror images too: half the time, less exact.")
+    ] = False
+    quick: Annotated[bool, arg(help="Four subjects, half of the lights, 60 photographs.")] = False
+    as_json: Json = False
+
+    def run(self) -> Result:
+        from sfsnet_dr.core.errors import InputError
+        from sfsnet_dr.experiments.evaluation.collect import KINDS, Amount, collect
+        from sfsnet_dr.experiments.evaluation.methods import Wanted, methods_for
+        from sfsnet_dr.experiments.evaluation.run import evaluate, evaluate_all
+
+        kind, *rest = self.data or ("",)
+        folders = [Path(folder) for folder in rest]
+        if not rest and Path(kind).is_dir() and kind not in (*KINDS, "all"):
+            kind, folders = "folder", [Path(kind)]
+        amount = Amount(self.most, self.quick, self.database)
+        wanted = Wanted(self.methods, self.weights, self.landmarks, self.model_path, self.once)
+        if kind == "all":
+            if len(folders) != 1:
+                raise InputError(f"all: {len(folders)} folders found, one is needed")
+            records, left_out = evaluate_all(folders[0], self.faces, wanted, self.out, amount, command_line())
+        else:
+            if self.faces:
+                raise InputError(f"--faces: is for `all`; give the folders after {kind}")
+            collection = collect(kind, folders, amount)
+            methods, left_out = methods_for(collection.shots, wanted, collection.listing)
+            records = evaluate(collection, methods, self.out, command_line())
+        lines = [f"left out: {name}: {reason}" for name, reason in left_out.items()]
+        return of_records(records, *lines, f"page: {self.out / 'index.html'}")

@@ -1,0 +1,286 @@
+"""Commands that train networks and use them.
+
+Commands that make training data of photographs.
+
+The command that runs all stages of training.
+
+The command that measures what each part of the method is worth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from sfsnet_dr.cli.common import FaceFolders, Json, Out, Result, command_line, of_records
+from sfsnet_dr.cli.faces import Synth, render_faces
+from sfsnet_dr.models.weights import BEST
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train a network by a recipe, on faces relit on the fly.
+
+    Without --data the faces are rendered first, into OUT/faces. A stopped run goes on with --resume and ends
+    with the same weights as one that was never stopped. Several processes or GPUs share every batch where
+    torchrun starts it: torchrun --nproc-per-node 2 --no-python sfsnet-dr train RECIPE --data DIR --out OUT
+
+    Example: sfsnet-dr train training/recipes/smoke.toml --out out/smoke
+    """
+
+    recipe: Positional[
+        Annotated[Path, arg(metavar="RECIPE", help="Recipe (TOML); its head says what it costs.")]
+    ]
+    out: Out
+    data: FaceFolders = ()
+    faces: Annotated[int, arg(help="Faces to render where --data is not given.")] = 24
+    scene: Annotated[
+        Path | None, arg(metavar="FILE", help="Their scene (TOML); left out, that of scenes/faces.toml.")
+    ] = None
+    environments: Annotated[
+        Path | None,
+        arg(metavar="DIR", help="Environment maps (.exr, .hdr) to light by, in place of the recipe's."),
+    ] = None
+    labels: Annotated[
+        Path | None, arg(metavar="DIR", help="Photographs that `sfsnet-dr pseudo-label` labelled.")
+    ] = None
+    surfaces: Annotated[
+        Path | None, arg(metavar="DIR", help="Faces that `sfsnet-dr photometric-stereo` labelled.")
+    ] = None
+    start: Annotated[
+        Path | None,
+        arg(metavar="FILE", help="Weights of the same network to begin with, in place of random ones."),
+    ] = None
+    resume: Annotated[bool, arg(help="Go on from the last checkpoint in --out.")] = False
+    tensorboard: Annotated[bool, arg(help="Write for TensorBoard too, into OUT/tensorboard.")] = False
+    as_json: Json = False
+
+    def run(self) -> Result:
+        from sfsnet_dr.report.record import dotted, measured
+        from sfsnet_dr.train.config import lit_by, read_recipe
+        from sfsnet_dr.train.trainer import train
+
+        recipe = lit_by(read_recipe(self.recipe), self.environments)
+        data = self.data or (self.out / "faces",)
+        if not self.data:
+            wanted = Synth(data[0], self.faces, scene=self.scene, resume=True)
+            render_faces(wanted.spec(), wanted)
+        result = train(
+            recipe,
+            data,
+            self.out,
+            labels=self.labels,
+            surfaces=self.surfaces,
+            resume=self.resume,
+            tensorboard=self.tensorboard,
+            start=self.start,
+        )
+        records = [
+            measured(f"train.loss.{dotted(term)}", value, "1", command=command_line(), seed=recipe.seed)
+            for term, value in result.final.items()
+        ]
+        return of_records(records, f"weights: {result.weights}")
+
+
+@dataclass(frozen=True)
+class Decompose:
+    """Take photographs of faces apart: normals, albedo, shading, reconstruction and three relit views.
+
+    Writes OUT/NAME for each NAME.png: eight pictures, a sheet of them, and decomposition.exr to compute with.
+    A picture must be 128 x 128 in the canonical frame (eye centres at (45, 48) and (83, 48), x right, y
+    down), or its eye centres must be given: by --eyes, or in NAME.toml beside it with the two lines
+    eye_image_left = [x, y] and eye_image_right = [x, y].
+
+    Example: sfsnet-dr decompose me.jpg --eyes 201,190,255,188 --out out/me
+    """
+
+    images: Positional[
+        Annotated[
+            tuple[Path, ...],
+            arg(
+                metavar="IMAGE",
+                help_behavior_hint="(required, several allowed)",
+                help="PNG, JPEG, EXR or HDR.",
+            ),
+        ]
+    ]
+    out: Out
+    weights: Annotated[
+        Path,
+        arg(metavar="FILE", help="Weights that `sfsnet-dr train` wrote, or the name of a shipped network."),
+    ] = Path(BEST)
+    eyes: Annotated[
+        str | None,
+        arg(
+            metavar="XL,YL,XR,YR",
+            help="Eye centres in pixels, the one on the image's left first; holds for every image.",
+        ),
+    ] = None
+    mask: Annotated[Path | None, arg(metavar="FILE", help="Picture of its size, white on the face.")] = None
+    as_json: Json = False
+
+    def run(self) -> Result:
+        from sfsnet_dr.inference.decompose import decompose, eyes_from_text, reconstruction_error
+        from sfsnet_dr.report.record import dotted, measured
+
+        eyes = None if self.eyes is None else eyes_from_text("--eyes", self.eyes)
+        faces = decompose(self.images, self.out, self.weights, eyes=eyes, mask=self.mask)
+        records = [
+            measured(
+                f"decompose.{dotted(face.name)}.reconstruction.mae_8bit",
+                reconstruction_error(face),
+                "8-bit sRGB",
+                command=command_line(),
+            )
+            for face in faces
+        ]
+        return of_records(records, *(f"written: {self.out / face.name}" for face in faces))
+
+
+@dataclass(frozen=True)
+class PseudoLabel:
+    """Label photographs of faces with a network's answers, to train another network on (labels, confidence).
+
+    PHOTOS is a folder of JPEG or PNG files whose 68 landmarks a face are in landmarks.npz, or in
+    PHOTOS_landmarks.npz beside it (files: N names, points: N x 68 x 2 pixels), or a folder of such folders.
+    Photographs without a face are skipped and told in OUT/manifest.json, where those held back are named too.
+    The same command goes on where it was stopped.
+
+    Example: sfsnet-dr pseudo-label photos --weights out/skipnet/weights.safetensors --out out/labels
+    """
+
+    photographs: Positional[Annotated[Path, arg(metavar="PHOTOS", help="Folder of photographs.")]]
+    weights: Annotated[Path, arg(metavar="FILE", help="Weights of `sfsnet-dr train`, or a shipped name.")]
+    out: Out
+    size: Annotated[
+        int | None, arg(help="Width of the labels in pixels; left out, that of the weights' training.")
+    ] = None
+    held_back: Annotated[int, arg(help="Photographs that get no labels, to measure on.")] = 500
+    most: Annotated[int | None, arg(help="Label no more than these many.")] = None
+    as_json: Json = False
+
+    def run(self) -> Result:
+        from sfsnet_dr.data.photos import photo_folder
+        from sfsnet_dr.report.console import bar
+        from sfsnet_dr.report.record import measured
+        from sfsnet_dr.train.pseudo_label import pseudo_label
+
+        source = photo_folder(self.photographs, held_back=self.held_back, most=self.most)
+        with bar("labelling photographs", len(source.train)) as advance:
+
+            def on_shard(count: int) -> None:
+                for _ in range(count):
+                    advance()
+
+            told = pseudo_label(source, self.weights, self.out, size=self.size, on_shard=on_shard)
+        numbers = {
+            "labelled": told["labelled"],
+            "skipped": len(told["skipped"]),
+            "held_back": len(told["held_back"]),
+        }
+        records = [
+            measured(f"pseudo_label.{name}", count, "photographs", command=command_line())
+            for name, count in numbers.items()
+        ]
+        skipped = [f"skipped: {name}: {reason}" for name, reason in list(told["skipped"].items())[:20]]
+        return of_records(records, *skipped, f"written: {self.out}")
+
+
+@dataclass(frozen=True)
+class Stages:
+    """Run every stage of SfS-supervision and measure the networks: OUT/index.html shows all of them.
+
+    Renders faces into OUT/faces unless --data is given, trains SkipNet on them, labels the photographs with
+    its answers, and trains SfSNet and SkipNet+ on both and SfSNet on rendered faces alone. The same command
+    goes on where it was stopped; a stage that is done is not run again. Photographs come as `sfsnet-dr
+    pseudo-label` takes them.
+
+    Example: sfsnet-dr stages training/small.toml --photographs photos --out out/train
+    """
+
+    stages: Positional[
+        Annotated[Path, arg(metavar="FILE", help="Set of stages (TOML); its head says what it costs.")]
+    ]
+    out: Out
+    data: FaceFolders = ()
+    photographs: Annotated[Path | None, arg(metavar="DIR", help="Folder of photographs with landmarks.")] = (
+        None
+    )
+    rendered_photographs: Annotated[
+        bool, arg(help="Let rendered faces stand in for photographs, to see the stages run.")
+    ] = False
+    environments: Annotated[
+        Path | None,
+        arg(metavar="DIR", help="Environment maps (.exr, .hdr) to light by, in place of the recipes'."),
+    ] = None
+    surfaces: Annotated[
+        Path | None,
+        arg(metavar="DIR", help="Labels by `sfsnet-dr photometric-stereo`, to fine-tune SfSNet on at last."),
+    ] = None
+    as_json: Json = False
+
+    def run(self) -> Result:
+        from sfsnet_dr.experiments.pipeline.run import read_plan, run_stages
+
+        plan = read_plan(
+            self.stages,
+            self.out,
+            data=self.data,
+            photographs=self.photographs,
+            rendered_photographs=self.rendered_photographs,
+            environments=self.environments,
+            surfaces=self.surfaces,
+        )
+        return of_records(run_stages(plan, command=command_line()), f"page: {self.out / 'index.html'}")
+
+
+@dataclass(frozen=True)
+class Ablations:
+    """Train networks that differ in one thing each and measure them alike: OUT/index.html shows the outcome.
+
+    Renders a few faces for each scene, trains a small network for each variant of FILE, and measures all of
+    them on the same held-back rendered faces. The same command goes on where it was stopped; what is done is
+    not done again. Variants that lack their data are left out, and told.
+
+    Example: sfsnet-dr ablations training/ablations.toml --out out/ablations
+    """
+
+    ablations: Positional[
+        Annotated[Path, arg(metavar="FILE", help="Set of ablations (TOML); its head says what it costs.")]
+    ]
+    out: Out
+    surfaces: Annotated[
+        Path | None,
+        arg(metavar="DIR", help="Labels by `sfsnet-dr photometric-stereo`, to measure on too."),
+    ] = None
+    photographs: Annotated[
+        Path | None,
+        arg(metavar="DIR", help="Photographs with landmarks, for the variants that learn from some."),
+    ] = None
+    environments: Annotated[
+        Path | None,
+        arg(metavar="DIR", help="Environment maps (.exr, .hdr) to light by, in place of the recipe's."),
+    ] = None
+    model_path: Annotated[
+        Path | None, arg(metavar="PATH", help="Face model of the variants that need a file: ict's .npz.")
+    ] = None
+    as_json: Json = False
+
+    def run(self) -> Result:
+        from sfsnet_dr.experiments.ablation.config import read_ablations
+        from sfsnet_dr.experiments.ablation.run import run_ablations
+
+        plan = read_ablations(
+            self.ablations,
+            self.out,
+            photographs=self.photographs,
+            surfaces=self.surfaces,
+            environments=self.environments,
+            model_path=self.model_path,
+        )
+        records = run_ablations(plan, command=command_line())
+        lines = [f"left out: {name} {why}" for name, why in plan.left_out.items()]
+        return of_records(records, *lines, f"page: {self.out / 'index.html'}")

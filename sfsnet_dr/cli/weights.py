@@ -1,0 +1,178 @@
+"""Commands about the trained networks that come with the package.
+
+The command that learns from photographs which lights there are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from sfsnet_dr.cli.common import Json, Out, Result, command_line, of_records
+
+
+@dataclass(frozen=True)
+class WeightsList:
+    """Name the networks that come with the package, with the numbers of their cards.
+
+    Wherever a command takes --weights, one of these names will do.
+
+    Example: sfsnet-dr weights list
+    """
+
+    as_json: Json = False
+
+    def run(self) -> Result:
+        from sfsnet_dr.experiments.pipeline.model_card import card_records
+        from sfsnet_dr.models.weights import FOLDER, SHIPPED
+
+        records = [record for name in SHIPPED for record in card_records(name)]
+        return of_records(records, f"cards: {FOLDER}/NAME.md for {', '.join(SHIPPED)}")
+
+
+@dataclass(frozen=True)
+class WeightsCheck:
+    """Measure shipped networks and hold the numbers to those of their cards; exit code 1 where they differ.
+
+    Two dozen unseen faces are rendered into OUT first (a minute); photographs are measured too where a folder
+    of them is given, as `sfsnet-dr pseudo-label` takes it.
+
+    Example: sfsnet-dr weights check --out out/check
+    """
+
+    out: Out
+    names: Annotated[
+        tuple[Path, ...], arg(metavar="NAME", help="Shipped names or files; left out, all shipped.")
+    ] = ()
+    photographs: Annotated[Path | None, arg(metavar="DIR", help="Folder of photographs with landmarks.")] = (
+        None
+    )
+    as_json: Json = False
+
+    def run(self) -> Result:
+        from sfsnet_dr.experiments.pipeline.model_card import FACES, card_records, compare, measure_shipped
+        from sfsnet_dr.models.weights import SHIPPED
+        from sfsnet_dr.report.console import bar
+        from sfsnet_dr.report.record import to_json, write_records
+
+        names = self.names or tuple(Path(name) for name in SHIPPED)
+        with bar("rendering faces", FACES) as advance:
+            records = measure_shipped(
+                names, self.out, command_line(), photographs=self.photographs, on_face=lambda _: advance()
+            )
+        write_records(self.out / "records.json", records)
+        card = [record for name in names if str(name) in SHIPPED for record in card_records(str(name))]
+        compared = compare(records, card)
+        return Result(
+            text="\n".join(map(str, compared)),
+            json=to_json(records),
+            code=0 if all(one.same for one in compared) else 1,
+        )
+
+
+@dataclass(frozen=True)
+class WeightsPack:
+    """Keep a network's large tensors in eight bits: a quarter of the bytes, and no path of this machine.
+
+    Example: sfsnet-dr weights pack out/sfsnet/weights.safetensors --out sfsnet.safetensors
+    """
+
+    weights: Positional[Annotated[Path, arg(metavar="FILE", help="Weights that `sfsnet-dr train` wrote.")]]
+    out: Annotated[Path, arg(metavar="FILE", help="File to write.")]
+    as_json: Json = False
+
+    def run(self) -> Result:
+        from sfsnet_dr.models.weights import load_weights, read_metadata, save_weights
+        from sfsnet_dr.report.record import measured
+
+        metadata = read_metadata(self.weights)
+        light = metadata.get("recipe", {}).get("data", {}).get("light", {})
+        for key in ("environments", "mixture"):
+            if light.get(key):
+                light[key] = Path(light[key]).name
+        save_weights(self.out, load_weights(self.weights), metadata, eight_bit=True)
+        size = measured("weights.bytes", self.out.stat().st_size, "B", command=command_line())
+        return of_records([size], f"written: {self.out}")
+
+
+@dataclass(frozen=True)
+class WeightsMean:
+    """Average networks that were trained on from one another: often better than each of them.
+
+    What the last file says of its training is kept, and a checksum and the share of every file.
+
+    Example: sfsnet-dr weights mean before.safetensors after.safetensors --shares 3 7 --out mean.safetensors
+    """
+
+    weights: Positional[
+        Annotated[tuple[Path, ...], arg(metavar="FILE", help="Weights of one kind of network.")]
+    ]
+    out: Annotated[Path, arg(metavar="FILE", help="File to write.")]
+    shares: Annotated[
+        tuple[float, ...], arg(metavar="SHARE", help="Of each file, in any unit; left out, equal ones.")
+    ] = ()
+    as_json: Json = False
+
+    def run(self) -> Result:
+        from sfsnet_dr.core.provenance import sha256
+        from sfsnet_dr.models.weights import read_metadata, save_weights, weights_path
+        from sfsnet_dr.report.record import measured
+        from sfsnet_dr.train.averaging import mean_weights
+
+        model = mean_weights(self.weights, self.shares)
+        shares = self.shares or (1.0,) * len(self.weights)
+        parts = [
+            {"sha256": sha256(weights_path(path)), "share": share}
+            for path, share in zip(self.weights, shares, strict=True)
+        ]
+        save_weights(self.out, model, read_metadata(self.weights[-1]) | {"mean_of": parts})
+        size = measured("weights.bytes", self.out.stat().st_size, "B", command=command_line())
+        return of_records([size], f"written: {self.out}")
+
+
+@dataclass(frozen=True)
+class FitLights:
+    """Fit a face model and its light to each photograph of a folder, and a mixture over all their lights.
+
+    PHOTOS is a folder as `sfsnet-dr pseudo-label` takes it. Writes OUT/fits.jsonl, a line a photograph,
+    OUT/mixture.json, and OUT/overlays.png to look at. A recipe draws lights from the mixture with
+    data.light.fitted above 0, and data.light.mixture for another one than the package's own. The same command
+    goes on where it was stopped.
+
+    Example: sfsnet-dr fit-lights photos --model-path FaceXModel --out out/lights
+    """
+
+    photographs: Positional[Annotated[Path, arg(metavar="PHOTOS", help="Folder of photographs.")]]
+    model_path: Annotated[
+        Path, arg(metavar="PATH", help="ICT FaceKit: its compact .npz, a clone, or its FaceXModel folder.")
+    ]
+    out: Out
+    most: Annotated[int | None, arg(help="Take no more than these many, drawn by the seed.")] = None
+    components: Annotated[
+        int | None, arg(help="Of the mixture; left out, 1 to 12: the number that foretells best.")
+    ] = None
+    draws: Annotated[int, arg(help="Lights drawn to see how many are impossible.")] = 20000
+    seed: Annotated[int, arg(help="Of the choice of photographs and of the mixture's start.")] = 0
+    as_json: Json = False
+
+    def run(self) -> Result:
+        from sfsnet_dr.data.photos import list_photos
+        from sfsnet_dr.experiments.light_prior import FitLightsOptions, fit_lights
+        from sfsnet_dr.report.console import bar
+        from sfsnet_dr.report.record import measured
+        from sfsnet_dr.scene.faces.linear_model import load_face_modes
+
+        options = FitLightsOptions(self.most, self.components, self.draws, self.seed)
+        total = len(list_photos(self.photographs)[0])
+        model = load_face_modes(self.model_path)
+        with bar("fitting photographs", min(total, self.most or total)) as advance:
+            told = fit_lights(self.photographs, model, self.out, options, on_photo=advance)
+        records = [
+            measured(f"fit_lights.{name}", value, unit, command=command_line(), seed=self.seed)
+            for name, (value, unit) in told.numbers.items()
+        ]
+        skipped = [f"skipped: {name}: {reason}" for name, reason in list(told.skipped.items())[:20]]
+        return of_records(records, *skipped, f"written: {self.out}")

@@ -1,0 +1,173 @@
+"""Renders the faces of all ablations, trains their networks, and has them measured; each once.
+
+What the parts of a study cost, kept in a file so that a study that was stopped still knows.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+from rich.console import Console
+
+from sfsnet_dr.core.errors import InputError
+from sfsnet_dr.core.files import output_dir
+from sfsnet_dr.data.manifest import Manifest
+from sfsnet_dr.data.normal_labels import read_index
+from sfsnet_dr.data.photos import photo_folder
+from sfsnet_dr.data.unshadowed import remove_visibility
+from sfsnet_dr.experiments.ablation.config import HELD_SEED, Case, Plan
+from sfsnet_dr.experiments.pipeline.cache import label_photographs, render_missing, train_once
+from sfsnet_dr.report.record import Record
+from sfsnet_dr.scene.spec import SceneSpec
+from sfsnet_dr.train.run import WEIGHTS
+
+
+class Ledger:
+    """Processor seconds of this process, all threads together, by the name of the work.
+
+    Time of a process that was killed before it could note it is lost.
+
+    Args:
+        path: a line of JSON for each piece of work; made when the first is noted.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._last = time.process_time()
+
+    def start(self) -> None:
+        """Forget the time since the last note: it belongs to nothing."""
+        self._last = time.process_time()
+
+    def note(self, what: str) -> None:
+        """The time since ``start`` or the last note was spent on this."""
+        now = time.process_time()
+        line = json.dumps({"what": what, "seconds": round(now - self._last, 4)})
+        with self.path.open("a", encoding="utf-8") as file:
+            file.write(line + "\n")
+        self._last = now
+
+    @contextmanager
+    def spent(self, what: str) -> Iterator[None]:
+        """Note the time of a block, also of one that fails."""
+        self.start()
+        try:
+            yield
+        finally:
+            self.note(what)
+
+    def seconds(self, what: str) -> list[float]:
+        """All that was noted for a piece of work, in order."""
+        if not self.path.is_file():
+            return []
+        text = self.path.read_text(encoding="utf-8")
+        lines = [json.loads(line) for line in text[: text.rfind("\n") + 1].splitlines()]
+        return [float(line["seconds"]) for line in lines if line["what"] == what]
+
+
+#: Faces rendered in one go: few enough for ``data.workers`` to do it in this process, whose time counts.
+_AT_ONCE: Final = 100
+
+Rule = Callable[[str, str], None]
+
+
+def run_ablations(plan: Plan, *, command: str, console: Console | None = None) -> list[Record]:
+    """Do what is not done yet, measure all networks, and write ``records.json`` and ``index.html``.
+
+    Args:
+        plan: of ``read_ablations``.
+        command: for the records.
+        console: where progress is shown; standard error by default.
+
+    Raises:
+        InputError: for unusable data, or a folder that holds other faces or networks.
+        RunError: if rendering or training failed; the same call goes on.
+    """
+    from sfsnet_dr.experiments.ablation.page import finish
+
+    screen = console or Console(stderr=True)
+    output_dir(plan.folder)
+    if plan.surfaces is not None:  # unusable ones are told before anything is rendered
+        read_index(plan.surfaces)
+    if plan.photographs is not None:
+        photo_folder(plan.photographs, held_back=0, most=plan.spec.photographs)
+    ledger = Ledger(plan.folder / "seconds.jsonl")
+
+    def rule(name: str, state: str) -> None:
+        screen.rule(f"{name}: {state}", align="left")
+
+    _render_all(plan, ledger, rule)
+    for case in plan.cases:
+        if plan.network(case) == case.name:
+            for seed in plan.spec.seeds:
+                _train(plan, case, seed, ledger, rule)
+    rule("measure", "held-back faces" if plan.surfaces is None else "held-back faces and photographs")
+    return finish(plan, ledger, command)
+
+
+def rendering(plan: Plan, folder: Path) -> str:
+    """How the ledger calls the rendering of faces."""
+    return f"rendering {folder.relative_to(plan.folder).as_posix()}"
+
+
+def training(name: str, seed: int) -> str:
+    """How the ledger calls a training."""
+    return f"training {name}-{seed}"
+
+
+def labelling(name: str, seed: int) -> str:
+    """How the ledger calls the labelling of photographs."""
+    return f"labelling {name}-{seed}"
+
+
+def _render_all(plan: Plan, ledger: Ledger, rule: Rule) -> None:
+    spec = plan.spec
+    _render(plan, plan.held, plan.base.scene, range(HELD_SEED, HELD_SEED + spec.held), ledger, rule)
+    for case in plan.cases:
+        rendered = plan.folder / "faces" / plan.rendered(case)
+        if rendered.name == case.name:
+            _render(plan, rendered, case.scene, range(spec.faces), ledger, rule)
+        if not case.variant.visibility:
+            rule(f"{case.name}", "taking shadows away")
+            remove_visibility(rendered, plan.faces(case))
+        if case.price is not None:
+            _render(plan, plan.priced(case), case.price, range(spec.priced), ledger, rule)
+
+
+def _render(plan: Plan, folder: Path, scene: SceneSpec, seeds: range, ledger: Ledger, rule: Rule) -> None:
+    what = rendering(plan, folder)
+    found = len(Manifest(folder).entries)
+    if found > len(seeds):
+        raise InputError(
+            f"{folder}: {found} faces found, {len(seeds)} asked for; choose another --out, or remove the "
+            "folder"
+        )
+    ledger.start()
+    for begin in range(0, len(seeds), _AT_ONCE):
+        part = seeds[begin : begin + _AT_ONCE]
+        render_missing(
+            folder, scene, len(part), partial(rule, what), seed=part[0], on_face=lambda: ledger.note(what)
+        )
+
+
+def _train(plan: Plan, case: Case, seed: int, ledger: Ledger, rule: Rule) -> None:
+    recipe = replace(case.recipe, seed=seed)
+    labels: Path | None = None
+    if recipe.real.share:
+        assert plan.photographs is not None
+        source = photo_folder(plan.photographs, held_back=0, most=plan.spec.photographs)
+        labels = plan.folder / "labels" / f"{case.name}-{seed}"
+        rule(labelling(case.name, seed), f"{len(source.train)} photographs by {plan.base.name}")
+        weights = plan.network_folder(plan.base.name, seed) / WEIGHTS
+        with ledger.spent(labelling(case.name, seed)):
+            label_photographs(source, weights, labels, recipe.real.values)
+    what, folder = training(case.name, seed), plan.network_folder(case.name, seed)
+    with ledger.spent(what):
+        train_once(recipe, [plan.faces(case)], folder, partial(rule, what), labels=labels)

@@ -1,0 +1,188 @@
+"""The ladder of shading models: order 0 to 4, with visibility, with one bounce, with gloss.
+
+A model knows a subject by what is captured of it once: mean normals and albedo, or its light transport. Under
+any light an image is then one Dr.Jit kernel, the one that is timed. Nothing is clamped.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from sfsnet_dr.render.aovs import Capture, CaptureOptions, capture
+from sfsnet_dr.render.shading_drjit_reference import render_planes
+from sfsnet_dr.scene.jit import dr, mi, upload
+from sfsnet_dr.scene.lights.light import SceneLight
+from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
+from sfsnet_dr.scene.spec import FACE_SHAPES
+from sfsnet_dr.scene.subject import Subject
+from sfsnet_dr.sh.coefficients import Radiance
+
+Image = npt.NDArray[np.float64]
+Kind = Literal["analytic", "visibility", "bounce", "gloss"]
+
+#: Rays a pixel for normals and albedo, when nothing else is captured.
+MAP_RAYS: Final = 64
+
+_ORDER = 4  # of all transport
+_GLOSS_TERMS = 9
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One model.
+
+    Attributes:
+        name: for people.
+        kind: what it knows beside the order.
+        order: of the light.
+    """
+
+    name: str
+    kind: Kind
+    order: int
+
+    @property
+    def key(self) -> str:
+        """The name in records: ``order2``, ``order4_visibility``."""
+        return self.name.replace(" + ", "_").replace(" ", "")
+
+    @property
+    def bytes_per_pixel(self) -> int:
+        """Memory that a kernel must move for a pixel in float32: what it reads and 3 values it writes."""
+        terms = (self.order + 1) ** 2
+        read = {
+            "analytic": 6,
+            "visibility": 3 * terms,
+            "bounce": 3 * terms,
+            "gloss": 3 * terms + _GLOSS_TERMS,
+        }
+        return 4 * (read[self.kind] + 3)
+
+
+def ladder_rungs(gloss: bool) -> tuple[Rung, ...]:
+    """All rungs, from the cheapest; the last one only for subjects with gloss."""
+    analytic = tuple(Rung(f"order {order}", "analytic", order) for order in range(5))
+    shadowed = tuple(Rung(f"order {order} + visibility", "visibility", order) for order in (2, 4))
+    bounced = tuple(Rung(f"order {order} + bounce", "bounce", order) for order in (2, 4))
+    return (*analytic, *shadowed, *bounced, *((Rung("order 4 + gloss", "gloss", 4),) if gloss else ()))
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """What the models know of a subject.
+
+    Attributes:
+        maps: normals, albedo, coverage, mask.
+        mask: (H, W) pixels that are counted: whole ones, of face skin if it is a face.
+        transport: by kind, two captures with different seeds; the models use their mean.
+        seconds: time of the captures by kind, compiled and warm, once a subject.
+    """
+
+    maps: Capture
+    mask: Image
+    transport: dict[Kind, tuple[Capture, Capture]]
+    seconds: dict[Kind, float]
+    _planes: dict[str, Any] = field(default_factory=dict)
+
+    def inputs(self, rung: Rung) -> tuple[Any, ...]:
+        """Dr.Jit arrays that the rung's kernel reads."""
+        if rung.kind not in self._planes:
+            made = (
+                _surface_planes(self.maps) if rung.kind == "analytic" else _answers(self.transport[rung.kind])
+            )
+            self._planes[rung.kind] = made
+        planes: tuple[Any, ...] = self._planes[rung.kind]
+        if rung.kind == "analytic":
+            return planes
+        return (planes[0][: (rung.order + 1) ** 2], planes[1])
+
+    def image(self, rung: Rung, light: SceneLight) -> Image:
+        """(H, W, 3) of a rung under a light."""
+        values = kernel_of(rung)(*self.inputs(rung), *weights(rung, light.coefficients(rung.order)))
+        dr.eval(values)
+        return np.asarray(values, dtype=np.float64).T.reshape(self.maps.normal.shape)
+
+    def noise(self, rung: Rung, light: SceneLight) -> float:
+        """Mean squared noise of a rung's image under a light, from its two captures."""
+        if rung.kind == "analytic":
+            return 0.0
+        coefficients = light.coefficients(rung.order).values
+        first, second = (_weighed(seen, coefficients) for seen in self.transport[rung.kind])
+        difference = ((first - second) / 2) ** 2 * self.mask[..., None]
+        return float(difference.sum() / (3 * self.mask.sum()))
+
+
+def know(subject: Subject, seed: int, rungs: tuple[Rung, ...]) -> Known:
+    """Capture all that rungs need; compiles with few rays first, so that the times are warm ones."""
+    sampling = subject.spec.sampling
+    plain = SurfaceScene(subject.mesh, subject.camera)
+    maps, took = _timed(plain, MAP_RAYS, seed, CaptureOptions(order=0))
+    transport: dict[Kind, tuple[Capture, Capture]] = {}
+    seconds: dict[Kind, float] = {"analytic": took}
+    for kind in dict.fromkeys(rung.kind for rung in rungs if rung.kind != "analytic"):
+        scene = SurfaceScene(subject.mesh, subject.camera, gloss=True) if kind == "gloss" else plain
+        options = CaptureOptions(order=_ORDER, bounces=int(kind != "visibility"), paths=sampling.paths)
+        half = max(1, sampling.transport // 2)
+        (first, one), (second, two) = (_timed(scene, half, 2 * seed + k, options) for k in (1, 2))
+        transport[kind], seconds[kind] = (first, second), one + two
+    whole = maps.mask if subject.spec.shape in FACE_SHAPES else maps.coverage >= 1.0
+    return Known(maps, np.asarray(whole, dtype=np.float64), transport, seconds)
+
+
+def kernel_of(rung: Rung) -> Callable[..., mi.Color3f]:
+    """The function that makes a rung's image of its inputs and weights; not evaluated."""
+    return _shade if rung.kind == "analytic" else _weigh
+
+
+def weights(rung: Rung, radiance: Radiance) -> tuple[Any, ...]:
+    """Coefficients of the rung's order as the kernel takes them: they change without a new compilation."""
+    if rung.kind == "analytic":
+        return ([dr.opaque(mi.Float, float(x)) for x in radiance.to_shading().flat()],)
+    return ([mi.Color3f(*(dr.opaque(mi.Float, float(x)) for x in row)) for row in radiance.values],)
+
+
+def _shade(normal: mi.Vector3f, albedo: mi.Color3f, light: list[mi.Float]) -> mi.Color3f:
+    return mi.Color3f(*render_planes([*normal], [*albedo], light))
+
+
+def _weigh(answers: list[mi.Color3f], gloss: list[mi.Float], light: list[mi.Color3f]) -> mi.Color3f:
+    total = answers[0] * light[0]
+    for answer, weight in zip(answers[1:], light[1:], strict=True):
+        total = dr.fma(answer, weight, total)
+    for answer, weight in zip(gloss, light, strict=False):
+        total = dr.fma(mi.Color3f(answer), weight, total)
+    return total
+
+
+def _surface_planes(maps: Capture) -> tuple[Any, ...]:
+    return mi.Vector3f(*_planes(maps.normal)), mi.Color3f(*_planes(maps.albedo * maps.coverage[..., None]))
+
+
+def _answers(captures: tuple[Capture, Capture]) -> tuple[Any, ...]:
+    transport, gloss = (
+        (getattr(captures[0], k) + getattr(captures[1], k)) / 2 for k in ("transport", "gloss")
+    )
+    return [mi.Color3f(*_planes(answer)) for answer in transport], [
+        upload(mi.Float, answer) for answer in gloss
+    ]
+
+
+def _planes(image: npt.NDArray[np.float32]) -> list[mi.Float]:
+    return [upload(mi.Float, image[..., c]) for c in range(image.shape[-1])]
+
+
+def _weighed(seen: Capture, light: Image) -> Image:
+    image = np.einsum("khwc,kc->hwc", seen.transport[: len(light)], light)
+    return np.asarray(image + np.einsum("khw,kc->hwc", seen.gloss, light[: len(seen.gloss)]))
+
+
+def _timed(scene: SurfaceScene, samples: int, seed: int, options: CaptureOptions) -> tuple[Capture, float]:
+    capture(scene, 1, seed, options)
+    begin = time.perf_counter()
+    return capture(scene, samples, seed, options), time.perf_counter() - begin

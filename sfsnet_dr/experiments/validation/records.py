@@ -1,0 +1,159 @@
+"""A study's numbers as records and as a table of comma-separated values."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from typing import Final
+
+from sfsnet_dr.experiments.validation.error_sources import CAUSES
+from sfsnet_dr.experiments.validation.measure import Errors, LightResult, Row
+from sfsnet_dr.experiments.validation.models import Rung
+from sfsnet_dr.experiments.validation.renderers import Rival, spectral_size
+from sfsnet_dr.experiments.validation.summary import Study, cheapest, pooled
+from sfsnet_dr.report.record import Record, dotted, measured
+
+_Add = Callable[..., Record]
+
+_COLUMNS: Final = (
+    "scene", "light", "model", "rel_rmse", "low", "high", "worst_block", "mae_8bit", "delta_e_2000", "flip",
+    "seconds", "crossover_spp",
+)  # fmt: skip
+
+
+def study_records(study: Study, tolerance: float, command: str, seed: int) -> list[Record]:
+    """Every number: ``validate.<model>.<scene>.<light>.<what>``, and what holds for all lights without one.
+
+    Without a light stand times, and ``rel_rmse`` over the natural lights (RMS of the three relative errors).
+    A cause is given by its size, ``cause.<name>``, and its part of the squared error, ``share.<name>``.
+    """
+    return list(_records(study, tolerance, _maker(command, seed)))
+
+
+def main_records(records: Iterable[Record]) -> list[Record]:
+    """The records to keep of many scenes: errors of all models, causes and times of the order-2 model."""
+    ours = ("validate.order2.", "validate.path.", "validate.cheapest.")
+    return [
+        record
+        for record in records
+        if record.what.endswith((".rel_rmse", ".seconds", ".share.copy_bandwidth"))
+        or (record.what.startswith(ours) and (".cause." in record.what or ".time." in record.what))
+    ]
+
+
+def to_csv(study: Study) -> str:
+    """One line for each light and model, renderers included."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    split = [f"{kind}_{cause}" for kind in ("size", "share") for cause in CAUSES]
+    writer.writerow([*_COLUMNS, *split, "note"])
+    scene, nothing = study.ladder.name, [""] * (2 * len(CAUSES))
+    for result in study.ladder.results:
+        for row in result.rows:
+            seconds = study.times[row.key].warm.total if row.key in study.times else None
+            parts = [row.parts[cause] for cause in CAUSES]
+            numbers = [*_numbers(row.errors), seconds, result.crossover(row.key)]
+            numbers += [*(part.size for part in parts), *(part.share for part in parts)]
+            writer.writerow([scene, result.light.name, row.key, *map(_cell, numbers), ""])
+        for path in result.paths:
+            cells = [_cell(path.noise), *[""] * 6, _cell(path.seconds), "", *nothing]
+            writer.writerow([scene, result.light.name, f"path_{path.samples}spp", *cells, "noise"])
+    for rival in study.rivals:
+        cells = [*map(_cell, [*_numbers(rival.errors), rival.seconds]), "", *nothing]
+        writer.writerow([scene, rival.light, rival.renderer, *cells, rival.failure])
+    return text.getvalue()
+
+
+def _records(study: Study, tolerance: float, add: _Add) -> Iterator[Record]:
+    scene = dotted(study.ladder.name)
+    best = cheapest(study, tolerance)
+    if best is not None:
+        yield add(f"validate.cheapest.{scene}.rel_rmse", best.error, "1")
+        yield add(f"validate.cheapest.{scene}.seconds", best.seconds, "s")
+    for rung in study.rungs:
+        yield from _of_rung(study, rung, f"validate.{rung.key}.{scene}", add)
+    for result in study.ladder.results:
+        for row in result.rows:
+            yield from _of_row(result, row, f"validate.{row.key}.{scene}.{result.light.name}", add)
+        for path in result.paths:
+            name = f"validate.path_{path.samples}spp.{scene}.{result.light.name}"
+            yield add(f"{name}.noise", path.noise, "1")
+            yield add(f"{name}.seconds", path.seconds, "s")
+        spectral = spectral_size(study.rivals, result.light.name)
+        if spectral is not None:
+            yield add(f"validate.path.{scene}.{result.light.name}.cause.spectral", spectral, "1")
+    for rival in study.rivals:
+        yield from _of_rival(rival, f"validate.{dotted_renderer(rival.renderer)}.{scene}.{rival.light}", add)
+
+
+def dotted_renderer(name: str) -> str:
+    """A renderer's name as one word of a record's; ours are such words already."""
+    return "-".join(dotted(part) for part in name.split("-"))
+
+
+def _of_rung(study: Study, rung: Rung, name: str, add: _Add) -> Iterator[Record]:
+    if study.natural:
+        error = pooled(study, rung.key, study.natural)
+        yield add(f"{name}.rel_rmse", error.error, "1", error.interval)
+    times = study.times[rung.key]
+    yield add(f"{name}.seconds", times.warm.total, "s")
+    yield add(f"{name}.time.frozen", times.frozen, "s")
+    yield add(f"{name}.time.tracing", times.warm.tracing, "s")
+    yield add(f"{name}.time.codegen", times.warm.codegen, "s")
+    yield add(f"{name}.time.execution", times.warm.execution, "s")
+    yield add(f"{name}.time.capture", study.capture_seconds(rung), "s")
+    yield add(f"{name}.time.ns_per_pixel", times.ns_per_pixel, "ns")
+    yield add(f"{name}.share.copy_bandwidth", times.copy_share, "1")
+    if rung.key in study.cold:
+        yield add(f"{name}.time.cold", study.cold[rung.key].total, "s")
+        yield add(f"{name}.time.compile", study.cold[rung.key].backend, "s")
+
+
+def _of_row(result: LightResult, row: Row, name: str, add: _Add) -> Iterator[Record]:
+    errors = row.errors
+    yield add(f"{name}.rel_rmse", errors.rel.value, "1", (errors.rel.low, errors.rel.high))
+    yield add(f"{name}.worst_block", errors.worst, "1")
+    yield add(f"{name}.mae_8bit", errors.mae_8bit, "8-bit sRGB")
+    yield add(f"{name}.delta_e_2000", errors.delta_e, "Delta E")
+    if errors.flip is not None:
+        yield add(f"{name}.flip", errors.flip, "1")
+    crossover = result.crossover(row.key)
+    if math.isfinite(crossover):
+        yield add(f"{name}.crossover", crossover, "paths per pixel")
+    for cause in CAUSES:
+        yield add(f"{name}.cause.{cause}", row.parts[cause].size, "1")
+        yield add(f"{name}.share.{cause}", row.parts[cause].share, "1")
+
+
+def _of_rival(rival: Rival, name: str, add: _Add) -> Iterator[Record]:
+    if rival.errors is None:
+        return
+    rel = rival.errors.rel
+    yield add(f"{name}.rel_rmse", rel.value, "1", (rel.low, rel.high))
+    yield add(f"{name}.noise", rival.noise, "1")
+    yield add(f"{name}.seconds", rival.seconds, "s")
+
+
+def _maker(command: str, seed: int) -> _Add:
+    """Makes records; versions and machine are looked up once, not for each of hundreds."""
+    pattern = measured("validate.pattern", 0.0, "1", command=command, seed=seed)
+
+    def add(what: str, value: float, unit: str, interval: tuple[float, float] | None = None) -> Record:
+        ends = None if interval is None else (min(interval[0], value), max(interval[1], value))
+        return replace(pattern, what=what, value=float(value), unit=unit, interval=ends)
+
+    return add
+
+
+def _numbers(errors: Errors | None) -> list[float | None]:
+    if errors is None:
+        return [None] * 7
+    rel = errors.rel
+    return [rel.value, rel.low, rel.high, errors.worst, errors.mae_8bit, errors.delta_e, errors.flip]
+
+
+def _cell(value: float | None) -> str:
+    return "" if value is None else f"{value:.5g}"

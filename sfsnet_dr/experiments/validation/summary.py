@@ -1,0 +1,161 @@
+"""The results of a validation summed up: means over lights, the cheapest rung within a tolerance."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from sfsnet_dr.experiments.validation.measure import NATURAL, Ladder, LightResult
+from sfsnet_dr.experiments.validation.models import Rung, ladder_rungs
+from sfsnet_dr.experiments.validation.renderers import Rival
+from sfsnet_dr.experiments.validation.timing import KernelTime, RungTime
+from sfsnet_dr.report.pareto import TimedError
+
+#: Group of the complete path tracer's points; its error is noise.
+PATH: Final = "path tracer"
+
+_GROUPS = {
+    "analytic": "SH shading",
+    "visibility": "SH + visibility",
+    "bounce": "SH + one bounce",
+    "gloss": "SH + bounce and gloss",
+}
+
+
+@dataclass(frozen=True)
+class Study:
+    """Everything that was measured on a scene.
+
+    Attributes:
+        ladder: errors of the models.
+        times: of the rungs, by key.
+        cold: first calls, by key; empty where they were not measured.
+        rivals: every registered renderer; empty where none was asked for.
+    """
+
+    ladder: Ladder
+    times: Mapping[str, RungTime]
+    cold: Mapping[str, KernelTime] = field(default_factory=dict)
+    rivals: tuple[Rival, ...] = ()
+
+    @property
+    def rungs(self) -> tuple[Rung, ...]:
+        """The shading models."""
+        return ladder_rungs(self.ladder.subject.spec.has_gloss)
+
+    @property
+    def natural(self) -> tuple[LightResult, ...]:
+        """The results under the natural lights; empty if they were not all among the lights."""
+        found = tuple(result for result in self.ladder.results if result.light.name in NATURAL)
+        return found if len(found) == len(NATURAL) else ()
+
+    def capture_seconds(self, rung: Rung) -> float:
+        """What a rung costs once a subject."""
+        return self.ladder.known.seconds[rung.kind]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A rung or the path tracer at a number of paths, over all lights of a run.
+
+    Attributes:
+        name: for people.
+        seconds: of one image, compiled and warm.
+        once: seconds once a subject, before the first image.
+        error: the largest relative RMS error under any of the lights.
+        light: under which that was.
+        path: whether it is the path tracer, whose error is noise.
+    """
+
+    name: str
+    seconds: float
+    once: float
+    error: float
+    light: str
+    path: bool
+
+
+def pooled(study: Study, key: str, results: Iterable[LightResult]) -> TimedError:
+    """A rung over several lights: RMS of its relative errors, with the RMS of the intervals' ends."""
+    rung = next(rung for rung in study.rungs if rung.key == key)
+    errors = [result.row(key).errors.rel for result in results]
+    low, value, high = (_rms(getattr(e, name) for e in errors) for name in ("low", "value", "high"))
+    return TimedError(rung.name, _GROUPS[rung.kind], study.times[key].warm.total, value, (low, high))
+
+
+def paths(results: Iterable[LightResult]) -> list[TimedError]:
+    """The path tracer over several lights: median time and RMS noise at each number of paths."""
+    columns = zip(*(result.paths for result in results), strict=True)
+    return [
+        TimedError(
+            f"{column[0].samples} paths",
+            PATH,
+            float(np.median([path.seconds for path in column])),
+            _rms(path.noise for path in column),
+        )
+        for column in columns
+    ]
+
+
+def candidates(study: Study) -> list[Candidate]:
+    """All rungs and the path tracer, the quickest image first."""
+    results = study.ladder.results
+    found = []
+    for rung in study.rungs:
+        worst = max(results, key=lambda result: result.row(rung.key).errors.rel.value)
+        error, once = worst.row(rung.key).errors.rel.value, study.capture_seconds(rung)
+        seconds = study.times[rung.key].warm.total
+        found.append(Candidate(rung.name, seconds, once, error, worst.light.name, path=False))
+    for k, path in enumerate(results[0].paths):
+        worst = max(results, key=lambda result: result.paths[k].noise)
+        seconds = float(np.median([result.paths[k].seconds for result in results]))
+        name = f"the path tracer with {path.samples} paths a pixel"
+        found.append(Candidate(name, seconds, 0.0, worst.paths[k].noise, worst.light.name, path=True))
+    return sorted(found, key=lambda candidate: candidate.seconds)
+
+
+def cheapest(study: Study, tolerance: float) -> Candidate | None:
+    """The quickest of the candidates that stay within a tolerance under every light; None if none does."""
+    return next((c for c in candidates(study) if c.error <= tolerance), None)
+
+
+def sentence(study: Study, tolerance: float) -> str:
+    """What ``cheapest`` found, for a reader who knows nothing else."""
+    best, scene = cheapest(study, tolerance), study.ladder.name.replace("_", " ")
+    allowed, count = f"{100 * tolerance:g} %", len(study.ladder.results)
+    lights = "the one light" if count == 1 else f"all {count} lights"
+    if best is None:
+        near = min(candidates(study), key=lambda candidate: candidate.error)
+        return (
+            f"No model stays within {allowed} on the scene {scene} under {lights}: the nearest is "
+            f"{near.name}, with a relative RMS error of {_percent(near.error)} under {near.light}."
+        )
+    if best.path:
+        return (
+            f"No shading model stays within {allowed} on the scene {scene} under {lights}; {best.name} does, "
+            f"in {duration(best.seconds)} an image, with at most {_percent(best.error)} of noise "
+            f"({best.light})."
+        )
+    return (
+        f"The cheapest model within {allowed} on the scene {scene} under {lights} is {best.name}: a relative "
+        f"RMS error of at most {_percent(best.error)} ({best.light}) in {duration(best.seconds)} an image, "
+        f"after {duration(best.once)} of capture once a subject."
+    )
+
+
+def duration(seconds: float) -> str:
+    """A time with two digits and the unit that fits."""
+    units = (("s", 1.0), ("ms", 1e-3), ("\u00b5s", 1e-6))
+    unit, size = next((unit for unit in units if seconds >= 0.995 * unit[1]), units[-1])
+    return f"{float(f'{seconds / size:.2g}'):g} {unit}"
+
+
+def _percent(error: float) -> str:
+    return f"{float(f'{100 * error:.2g}'):g} %"
+
+
+def _rms(values: Iterable[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(list(values)))))

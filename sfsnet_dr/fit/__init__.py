@@ -1,1 +1,0 @@
-"""Recipes, checkpoints and the training loop."""

@@ -1,0 +1,142 @@
+"""What one decomposition leaves on disk: pictures to look at, one EXR to compute with."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sfsnet_dr.core.errors import InputError
+from sfsnet_dr.core.image_io import write_exr, write_png
+from sfsnet_dr.data.pseudo_labels import Values
+from sfsnet_dr.inference.relight import VIEW_LIGHTS, relit_views
+from sfsnet_dr.inference.visualize import Pixels, on_white, sheet, show_encoded, show_linear, show_normals
+from sfsnet_dr.sh.coefficients import Shading
+
+Array = NDArray[np.floating]
+
+_EXR: Final = "decomposition.exr"
+_SHEET: Final = "sheet.png"
+
+
+@dataclass(frozen=True, eq=False)
+class Decomposed:
+    """One face taken apart, in the canonical frame, linear light.
+
+    Attributes:
+        name: what it is called in labels and folder names.
+        image: the input (H, W, 3).
+        mask: (H, W) in [0, 1].
+        normal: unit vectors (H, W, 3), camera frame.
+        albedo: (H, W, 3) as the network gave it, not clamped.
+        light: shading coefficients.
+        shading: Y(n)^T L (H, W, 3), not clamped.
+        reconstruction: albedo times shading (H, W, 3), not clamped; decoded where that is encoded.
+        values: "display" if the network was trained in the paper's display-referred form: albedo times
+            shading is then the sRGB-encoded image, and both are shown as they are.
+    """
+
+    name: str
+    image: Array
+    mask: Array
+    normal: Array
+    albedo: Array
+    light: Shading
+    shading: Array
+    reconstruction: Array
+    values: Values = "linear"
+
+
+def pictures(face: Decomposed) -> dict[str, tuple[str, Pixels]]:
+    """File stem -> (label, 8-bit picture), in reading order; white outside the mask, but for the input.
+
+    Shading is divided by its largest value on the face if that is above 1, so that it does not burn out.
+    """
+    show = show_linear if face.values == "linear" else show_encoded
+    peak = max(1.0, float((face.shading * face.mask[..., None]).max()))
+    maps = {
+        "normal": ("Normals", show_normals(face.normal)),
+        "albedo": ("Albedo", show(face.albedo)),
+        "shading": ("Shading", show(face.shading / peak)),
+        "reconstruction": ("Reconstruction", show_linear(face.reconstruction)),
+    }
+    for side, view in relit_views(face.normal, face.albedo).items():
+        maps[f"relit_{side}"] = (f"Lit from the {side}", show(view))
+    masked = {stem: (label, on_white(picture, face.mask)) for stem, (label, picture) in maps.items()}
+    return {"input": ("Input", show_linear(face.image))} | masked
+
+
+def write_decomposed(folder: Path | str, face: Decomposed, metadata: Mapping[str, str]) -> Path:
+    """Write all files of one face into ``folder / face.name``, the whole folder or nothing.
+
+    Args:
+        folder: exists and is writable.
+        face: what to write.
+        metadata: strings for the EXR; the 27 light coefficients are added as ``sfsnet_dr:light``.
+
+    Returns:
+        The folder of this face.
+
+    Raises:
+        InputError: if that folder exists and holds files that a decomposition does not write.
+    """
+    target = Path(folder) / face.name
+    with _whole_folder(target) as partial:
+        shown = pictures(face)
+        for stem, (_, picture) in shown.items():
+            write_png(partial / f"{stem}.png", picture / 255.0, encoded=True)
+        (partial / _SHEET).write_bytes(sheet(list(shown.values()), title=face.name))
+        light = json.dumps([float(value) for value in face.light.flat()])
+        strings = {**metadata, "sfsnet_dr:light": light, "sfsnet_dr:values": face.values}
+        write_exr(partial / _EXR, _channels(face), strings)
+    return target
+
+
+def _channels(face: Decomposed) -> dict[str, Array]:
+    channels: dict[str, Array] = {"mask.Y": face.mask}
+    for name, letters in {"image": "RGB", "normal": "XYZ", "albedo": "RGB", "shading": "RGB"}.items():
+        for index, letter in enumerate(letters):
+            channels[f"{name}.{letter}"] = getattr(face, name)[..., index]
+    for index, letter in enumerate("RGB"):
+        channels[f"reconstruction.{letter}"] = face.reconstruction[..., index]
+    return channels
+
+
+def _file_names() -> set[str]:
+    stems = ["input", "normal", "albedo", "shading", "reconstruction", *(f"relit_{s}" for s in VIEW_LIGHTS)]
+    return {f"{stem}.png" for stem in stems} | {_EXR, _SHEET}
+
+
+@contextmanager
+def _whole_folder(target: Path) -> Iterator[Path]:
+    """Give a temporary folder beside ``target`` that takes its place if the block ends well."""
+    if target.exists():
+        strange = (
+            sorted(p.name for p in target.iterdir() if p.name not in _file_names())
+            if target.is_dir()
+            else ["a file"]
+        )
+        if strange:
+            raise InputError(
+                f"{target}: holds {strange[0]!r}, which no decomposition wrote; choose another --out"
+            )
+    partial = Path(tempfile.mkdtemp(prefix=".partial-", dir=target.parent))
+    try:
+        yield partial
+        partial.chmod(target.parent.stat().st_mode & 0o777)
+        old = partial.with_name(partial.name + "-old")
+        if target.exists():
+            os.rename(target, old)
+        os.rename(partial, target)
+        shutil.rmtree(old, ignore_errors=True)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)

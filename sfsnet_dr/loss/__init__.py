@@ -1,1 +1,0 @@
-"""The paper's loss terms and the reconstruction loss in Dr.Jit and torch."""

@@ -1,0 +1,98 @@
+"""Running a network on images, without gradients.
+
+A trained network with what its recipe says about the images that it understands.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from sfsnet_dr.core.conventions import FACE_SIZE
+from sfsnet_dr.core.errors import InputError
+from sfsnet_dr.data.pseudo_labels import Values
+from sfsnet_dr.data.transforms.crop import View
+from sfsnet_dr.data.transforms.flip import flip_light, flip_map, flip_normal
+from sfsnet_dr.models.base import Decomposition, Network
+from sfsnet_dr.models.weights import load_weights, read_metadata
+from sfsnet_dr.render.shading_torch import unit
+
+
+@torch.no_grad()
+def predict(model: nn.Module, images: Tensor, batch_size: int = 16) -> Decomposition:
+    """Decompose images with the running statistics of batch normalisation, in float32.
+
+    The model's training mode is put back afterwards.
+
+    Args:
+        model: a network with the interface of ``SfSNet``.
+        images: linear Rec. 709, (B, 3, H, W), on the model's device.
+        batch_size: images that are computed at once; bounds memory, does not change the result.
+    """
+    training = model.training
+    model.eval()
+    try:
+        parts = [model(chunk) for chunk in torch.split(images, batch_size)]
+    finally:
+        model.train(training)
+    return Decomposition(*(torch.cat(tensors) for tensors in zip(*parts, strict=True)))
+
+
+def predict_both_ways(model: nn.Module, images: Tensor, batch_size: int = 16) -> Decomposition:
+    """The mean of the answers to images and to their mirror images; takes twice as long as ``predict``.
+
+    What a network says of a reflected face should be the reflection of what it says of the face. Where it is
+    not, the mean is nearer to the truth: README, "Real faces", tells by how much.
+    """
+    straight = predict(model, images, batch_size)
+    back = mirrored(predict(model, flip_map(images), batch_size))
+    return Decomposition(
+        unit(straight.normal + back.normal),
+        (straight.albedo + back.albedo) / 2,
+        (straight.light + back.light) / 2,
+    )
+
+
+def mirrored(answer: Decomposition) -> Decomposition:
+    """The left-right reflection of an answer."""
+    return Decomposition(flip_normal(answer.normal), flip_map(answer.albedo), flip_light(answer.light))
+
+
+@dataclass(frozen=True, eq=False)
+class Trained:
+    """A network as ``sfsnet-dr train`` left it.
+
+    Attributes:
+        model: in evaluation mode, on the CPU.
+        view: what it was shown of the frame, and with how many pixels; it answers best for that, and some
+            networks at no other size.
+        values: what a photograph's numbers are to it.
+        metadata: everything that its file says.
+    """
+
+    model: Network
+    view: View
+    values: Values
+    metadata: dict[str, Any]
+
+
+def load_trained(weights: Path | str) -> Trained:
+    """Read weights; a file without a recipe counts as trained on linear images of 128 x 128.
+
+    Raises:
+        InputError: for unusable weights.
+    """
+    metadata = read_metadata(weights)
+    recipe = metadata.get("recipe", {})
+    data = recipe.get("data", {})
+    view = View(int(data.get("size") or FACE_SIZE), int(data.get("crop") or FACE_SIZE))
+    if not 1 <= view.size <= view.crop <= FACE_SIZE:
+        raise InputError(
+            f"{weights}: trained on {view.crop} of the frame's {FACE_SIZE} pixels shown with {view.size}, no "
+            "more pixels than are shown are needed"
+        )
+    return Trained(load_weights(weights), view, recipe.get("real", {}).get("values", "linear"), metadata)

@@ -1,1 +1,0 @@
-"""Timings of the fast kernels against their twins, in one run."""

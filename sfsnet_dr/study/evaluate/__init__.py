@@ -1,1 +1,0 @@
-"""Measuring methods of inverse rendering on faces whose truth is known."""

@@ -1,0 +1,135 @@
+"""The real faces that a recipe asks for, opened and checked before anything else is done."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+
+from sfsnet_dr.core.conventions import FACE_SIZE
+from sfsnet_dr.core.errors import InputError
+from sfsnet_dr.data.mixed_batch import RealFaces, RealSource, RealTogether
+from sfsnet_dr.data.normal_dataset import IdentitySplit, SurfaceFaces, load_learnt, read_split
+from sfsnet_dr.data.pseudo_labels import load_pseudo_labels
+from sfsnet_dr.models.weights import read_metadata
+from sfsnet_dr.train.config import Recipe
+
+
+class Unopened(NamedTuple):
+    """A source of real faces that a recipe asks for.
+
+    Attributes:
+        images: of it in a mini-batch.
+        open: makes its batches on a device.
+    """
+
+    images: int
+    open: Callable[[torch.device], RealSource]
+
+
+@dataclass(frozen=True)
+class RealPart:
+    """What a recipe takes of real faces, ready to be opened.
+
+    Attributes:
+        sources: photographs with pseudo-labels, then captures; empty where there is none.
+        metadata: what the weights should tell about them.
+    """
+
+    sources: tuple[Unopened, ...] = ()
+    metadata: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """Images of each source in a mini-batch."""
+        return tuple(source.images for source in self.sources)
+
+    def open(self, device: torch.device) -> RealTogether:
+        """The batches of all sources on a device; there must be one."""
+        return RealTogether([source.open(device) for source in self.sources])
+
+
+def real_part(
+    recipe: Recipe, labels: Path | str | None, surfaces: Path | str | None, start: Path | None
+) -> RealPart:
+    """Photographs with pseudo-labels, faces with labels by photometric stereo, both or none.
+
+    Raises:
+        InputError: if folders and the recipe's shares do not belong together, for unusable labels, or if
+            ``start`` knows of somebody what it must not, see ``_begun``.
+    """
+    _together("real.share", recipe.real.share, labels, "--labels DIR (see `sfsnet-dr pseudo-label`)")
+    _together(
+        "surfaces.share",
+        recipe.surfaces.share,
+        surfaces,
+        "--surfaces DIR (see `sfsnet-dr photometric-stereo`)",
+    )
+    sources: list[Unopened] = []
+    metadata = {}
+    if labels is not None:
+        found, photographs = load_pseudo_labels(labels), recipe.real.count(recipe.batch_size)
+        _check_crop(labels, int(found.spec.get("crop", FACE_SIZE)), recipe.data.crop)
+        sources.append(
+            Unopened(
+                photographs, lambda device: RealFaces(found.to(device), photographs, recipe.real, recipe.seed)
+            )
+        )
+    if surfaces is not None:
+        faces, dealt = load_learnt(surfaces, recipe.surfaces, recipe.data.view)
+        split = _begun(dealt, start)
+        captures = recipe.surfaces.count(recipe.batch_size)
+        sources.append(
+            Unopened(
+                captures,
+                lambda device: SurfaceFaces(faces, captures, recipe.surfaces, recipe.seed, device),
+            )
+        )
+        metadata = {"surfaces": split.metadata}
+    return RealPart(tuple(sources), metadata)
+
+
+def _together(key: str, share: float, folder: Path | str | None, option: str) -> None:
+    if (folder is None) != (share == 0):
+        found = "no folder of labels" if folder is None else f"the labels of {folder}"
+        raise InputError(
+            f"{key}: {share:g} in the recipe and {found} found; a share above 0 and {option} belong together"
+        )
+
+
+def _check_crop(labels: Path | str, found: int, wanted: int) -> None:
+    """Refuse labels of photographs that show more or less of the frame than the rendered faces do."""
+    if found != wanted:
+        raise InputError(
+            f"{labels}: labels of {found} of the frame's {FACE_SIZE} pixels found, data.crop {wanted} is "
+            "needed; label the photographs with a network of that crop"
+        )
+
+
+def _begun(split: IdentitySplit, start: Path | None) -> IdentitySplit:
+    """The split of a training that goes on from weights: whom it holds back may be known to them by sight.
+
+    Pictures without labels may be learnt from before true labels of others are: both stay out of what is
+    held back, and the split tells. Strangers are to be strangers, though, and truth stays told: labels with
+    lamps that were found do not go on from somebody's truth.
+
+    Raises:
+        InputError: if the weights have learnt the truth of somebody held back, or pictures of somebody who is
+            to be a stranger, or the truth of anybody where the labels are none.
+    """
+    before = None if start is None else read_split(read_metadata(start))
+    if before is None or before.database != split.database:
+        return split
+    known = sorted((set(before.learnt) | set(before.seen)) & set(split.held_back))
+    by_sight = bool(before.lamps_by) and not split.lamps_by
+    if known and not by_sight:
+        raise InputError(f"{start}: has learnt from {', '.join(known)}, whom this fold holds back")
+    if split.lamps_by and not before.lamps_by:
+        raise InputError(
+            f"{start}: has learnt the true normals of {', '.join(before.learnt)}, which the weights would no "
+            f"longer tell after labels by {split.lamps_by}; start from weights without truth"
+        )
+    return replace(split, seen=tuple(known))
