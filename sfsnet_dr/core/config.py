@@ -22,27 +22,69 @@ _ADDED = "added"
 def load_toml(cls: type[T], path: Path | str) -> T:
     """Read a TOML file into a frozen dataclass; tables become nested dataclasses, arrays tuples.
 
+    ``extends = "base.toml"`` at the top of a file names another file, relative to it. That file is read first, and
+    the keys of this one replace its keys, table by table. Arrays are replaced whole.
+
+    A dataclass may list former key names in a class attribute ``RENAMED: ClassVar[Mapping[str, str]]``
+    (old name to new name). A former name is refused with the new one.
+
     Raises:
-        InputError: for a missing or malformed file, an unknown or missing key, or a value of another type,
-            naming the file and the key, what was found and what is allowed.
+        InputError: for a missing or malformed file, an unknown, renamed or missing key, a value of another type, or
+            files that extend each other in a circle; it names the file and the key, what was found and what is
+            allowed.
     """
-    path = Path(path)
+    return build(cls, read_toml(path), str(path))
+
+
+def read_toml(path: Path | str) -> dict[str, Any]:
+    """The tables of a TOML file, with those of the files that it ``extends`` below them.
+
+    Raises:
+        InputError: for a missing or malformed file, or files that extend each other in a circle.
+    """
+    return _read_extended(Path(path), ())
+
+
+def _read_extended(path: Path, below: tuple[Path, ...]) -> dict[str, Any]:
+    table = _parse_toml(path)
+    base = table.pop("extends", None)
+    if base is None:
+        return table
+    if not isinstance(base, str):
+        raise InputError(f"{path}: extends: {base!r} found, the path of one TOML file is needed")
+    chain = (*below, path.resolve())
+    parent = path.parent / base
+    if parent.resolve() in chain:
+        raise InputError(f"{path}: extends: {base!r} leads back to a file that extends this one")
+    return _merge_tables(_read_extended(parent, chain), table)
+
+
+def _merge_tables(base: dict[str, Any], change: dict[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in change.items():
+        if isinstance(value, dict) and isinstance(merged.get(key), dict):
+            merged[key] = _merge_tables(merged[key], value)
+        else:
+            merged[key] = value
+    return merged
+
+
+def _parse_toml(path: Path) -> dict[str, Any]:
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise InputError(f"{path}: no such file") from error
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read as text ({type(error).__name__})") from error
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path}: is not valid TOML ({error})") from error
-    return build(cls, table, str(path))
 
 
 def build(cls: type[T], table: dict[str, Any], where: str) -> T:
     """Build a dataclass from a table; ``where`` prefixes the messages."""
     hints = typing.get_type_hints(cls)
     fields = {field.name: field for field in dataclasses.fields(cls)}  # type: ignore[arg-type]
-    _check_keys(table, fields, where)
+    _check_keys(cls, table, where)
     required = [
         name
         for name, field in fields.items()
@@ -63,7 +105,7 @@ def changed(spec: T, table: Mapping[str, Any], where: str) -> T:
             ``where`` prefixes the messages.
     """
     hints = typing.get_type_hints(type(spec))
-    _check_keys(table, hints, where)
+    _check_keys(type(spec), table, where)
     values: dict[str, Any] = {}
     for key, value in table.items():
         held = getattr(spec, key)
@@ -77,8 +119,12 @@ def changed(spec: T, table: Mapping[str, Any], where: str) -> T:
         raise InputError(f"{where}: {error}") from error
 
 
-def _check_keys(table: Mapping[str, Any], known: Mapping[str, Any], where: str) -> None:
+def _check_keys(cls: type[Any], table: Mapping[str, Any], where: str) -> None:
+    known = {field.name for field in dataclasses.fields(cls)}
+    renamed: Mapping[str, str] = getattr(cls, "RENAMED", {})
     for key in table:
+        if key in renamed:
+            raise InputError(f"{where}: {key!r} is now called {renamed[key]!r}")
         if key not in known:
             raise InputError(f"{where}: unknown key {key!r}; {nearest(key, known)}")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 import pytest
 
@@ -15,6 +15,7 @@ from sfsnet_dr.scene.spec import SceneSpec, load_scene
 
 @dataclass(frozen=True)
 class Inner:
+    RENAMED: ClassVar[dict[str, str]] = {"extent": "size"}
     size: int = 3
 
 
@@ -44,7 +45,11 @@ def test_every_kind_of_value(tmp_path: Path) -> None:
     [
         ('name = "x"\nrat = 1', "unknown key 'rat'; did you mean 'rate'"),
         ('name = "x"\n[inner]\nsise = 1', "inner: unknown key 'sise'"),
+        ('name = "x"\n[inner]\nextent = 1', "inner: 'extent' is now called 'size'"),
         ("rate = 1.0", "key 'name' is missing"),
+        ('extends = 3\nname = "x"', "extends: 3 found, the path of one TOML file is needed"),
+        ('extends = "nowhere.toml"', "nowhere.toml: no such file"),
+        ('extends = "spec.toml"', "leads back to a file that extends this one"),
         ("name = 3", "name: 3 found, str is needed"),
         ('name = "x"\nkind = "c"', "kind: 'c' found"),
         ('name = "x"\nrate = true', "rate: True found, float is needed"),
@@ -120,3 +125,11 @@ def test_a_field_that_came_later_counts_only_when_used() -> None:
     assert fingerprint(Before()) == fingerprint(After())
     assert fingerprint(After()) != fingerprint(After(later=1.0))
     assert as_dict(After(later=1.0)) == {"rate": 0.5, "later": 1.0}
+
+
+def test_a_file_extends_another_table_by_table(tmp_path: Path) -> None:
+    (tmp_path / "base").mkdir()
+    (tmp_path / "base" / "far.toml").write_text('name = "far"\nrate = 3.0\n[inner]\nsize = 5')
+    (tmp_path / "near.toml").write_text('extends = "base/far.toml"\nkind = "b"\nsteps = [1, 2]')
+    found = load(tmp_path, 'extends = "near.toml"\nsteps = [3]\n[inner]\nsize = 8')
+    assert found == Outer("far", "b", 3.0, None, (3,), Inner(8))
