@@ -22,16 +22,16 @@ _ADDED = "added"
 def load_toml(cls: type[T], path: Path | str) -> T:
     """Read a TOML file into a frozen dataclass; tables become nested dataclasses, arrays tuples.
 
-    ``extends = "base.toml"`` at the top of a file names another file, relative to it. That file is read first, and
-    the keys of this one replace its keys, table by table. Arrays are replaced whole.
+    ``extends = "base.toml"`` at the top of a file names another file, relative to it. That file is read first,
+    and the keys of this one replace its keys, table by table. Arrays are replaced whole.
 
     A dataclass may list former key names in a class attribute ``RENAMED: ClassVar[Mapping[str, str]]``
     (old name to new name). A former name is refused with the new one.
 
     Raises:
-        InputError: for a missing or malformed file, an unknown, renamed or missing key, a value of another type, or
-            files that extend each other in a circle; it names the file and the key, what was found and what is
-            allowed.
+        InputError: for a missing or malformed file, an unknown, renamed or missing key, a value of another
+            type, or files that extend each other in a circle; it names the file and the key, what was found
+            and what is allowed.
     """
     return build(cls, read_toml(path), str(path))
 
@@ -54,6 +54,8 @@ def _read_extended(path: Path, below: tuple[Path, ...]) -> dict[str, Any]:
         raise InputError(f"{path}: extends: {base!r} found, the path of one TOML file is needed")
     chain = (*below, path.resolve())
     parent = path.parent / base
+    if not parent.is_file():
+        raise InputError(f"{path}: extends: {parent}: no such file")
     if parent.resolve() in chain:
         raise InputError(f"{path}: extends: {base!r} leads back to a file that extends this one")
     return _merge_tables(_read_extended(parent, chain), table)
