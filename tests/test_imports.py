@@ -120,7 +120,7 @@ def test_the_check_sees_a_wrong_import(tmp_path: Path) -> None:
         "def f():\n    from sfsnet_dr.experiments import demo\n    import sfsnet_dr.train.trainer\n"
     )
     assert against_the_order("core", imported(wrong)) == [
-        "sfsnet_dr.experiments.demo.run",
+        "sfsnet_dr.experiments.demo",
         "sfsnet_dr.train.trainer",
     ]
     assert against_the_order("experiments", imported(wrong)) == []

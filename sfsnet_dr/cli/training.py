@@ -17,7 +17,7 @@ from tyro.conf import Positional, arg
 
 from sfsnet_dr.cli.common import FaceFolders, Json, Out, Result, command_line, of_records
 from sfsnet_dr.cli.faces import Synth, render_faces
-from sfsnet_dr.models.weights import BEST
+from sfsnet_dr.models.shipped import BEST
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ class WeightsList:
 
     def run(self) -> Result:
         from sfsnet_dr.experiments.pipeline.model_card import card_records
-        from sfsnet_dr.models.weights import FOLDER, SHIPPED
+        from sfsnet_dr.models.shipped import FOLDER, SHIPPED
 
         records = [record for name in SHIPPED for record in card_records(name)]
         return of_records(records, f"cards: {FOLDER}/NAME.md for {', '.join(SHIPPED)}")
@@ -54,7 +54,7 @@ class WeightsCheck:
 
     def run(self) -> Result:
         from sfsnet_dr.experiments.pipeline.model_card import FACES, card_records, compare, measure_shipped
-        from sfsnet_dr.models.weights import SHIPPED
+        from sfsnet_dr.models.shipped import SHIPPED
         from sfsnet_dr.report.console import bar
         from sfsnet_dr.report.record import to_json, write_records
 
@@ -118,7 +118,8 @@ class WeightsMean:
 
     def run(self) -> Result:
         from sfsnet_dr.core.provenance import sha256
-        from sfsnet_dr.models.weights import read_metadata, save_weights, weights_path
+        from sfsnet_dr.models.shipped import weights_path
+        from sfsnet_dr.models.weights import read_metadata, save_weights
         from sfsnet_dr.report.record import measured
         from sfsnet_dr.train.averaging import mean_weights
 

@@ -22,7 +22,7 @@ _ADDED = "added"
 def load_toml(cls: type[T], path: Path | str) -> T:
     """Read a TOML file into a frozen dataclass; tables become nested dataclasses, arrays tuples.
 
-    ``extends = "base.toml"`` at the top of a file names another file, relative to it. That file is read first,
+    ``extends = "base.toml"`` at the top of a file names another file, relative to it. It is read first,
     and the keys of this one replace its keys, table by table. Arrays are replaced whole.
 
     A dataclass may list former key names in a class attribute ``RENAMED: ClassVar[Mapping[str, str]]``

@@ -27,7 +27,7 @@ from sfsnet_dr.inference.methods import ask
 from sfsnet_dr.inference.outputs import Decomposed, write_decomposed
 from sfsnet_dr.metrics.image import mae_8bit
 from sfsnet_dr.models.inference import load_trained
-from sfsnet_dr.models.weights import weights_path
+from sfsnet_dr.models.shipped import weights_path
 from sfsnet_dr.render.shading_numpy import shading
 from sfsnet_dr.sh.coefficients import Shading
 

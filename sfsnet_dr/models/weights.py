@@ -26,6 +26,7 @@ from sfsnet_dr.core.errors import InputError, nearest
 from sfsnet_dr.core.files import atomic_path
 from sfsnet_dr.models.base import Network
 from sfsnet_dr.models.sfsnet import SfSNet
+from sfsnet_dr.models.shipped import weights_path
 from sfsnet_dr.models.skipnet import SkipNet, SkipNetPlus
 
 #: Ends the names of the steps, which stand beside the tensors that they belong to.
@@ -60,35 +61,6 @@ def from_eight_bit(kept: Mapping[str, Tensor]) -> dict[str, Tensor]:
 
 def _beside(step: Tensor, tensor: Tensor) -> Tensor:
     return step.float().reshape(-1, *(1,) * (tensor.ndim - 1))
-
-
-#: Names that stand for files of weights wherever such a file is asked for.
-SHIPPED: Final = ("sfsnet", "skipnet", "skipnet-plus")
-
-#: The one that is used where none is named: by their cards it has the best normals.
-BEST: Final = "skipnet"
-
-FOLDER: Final = Path(__file__).with_name("weights")
-
-
-def weights_path(given: Path | str) -> Path:
-    """The file that a name of ``SHIPPED`` stands for; any other path as it is.
-
-    Raises:
-        InputError: for a bare word that is neither a shipped name nor a file.
-    """
-    name, path = str(given), Path(given)
-    if name in SHIPPED:
-        return FOLDER / f"{name}.safetensors"
-    if path.name == name and not path.suffix and not path.exists():
-        raise InputError(f"weights: {name!r} is no file, and no shipped network: {nearest(name, SHIPPED)}")
-    return path
-
-
-def weights_name(given: Path | str) -> str:
-    """What weights are called in tables and records: their file, or the run of a weights.safetensors."""
-    path = Path(given)
-    return path.absolute().parent.name if path.stem == "weights" else path.stem
 
 
 #: Architectures by the name that files and recipes use.

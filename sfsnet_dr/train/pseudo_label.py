@@ -30,7 +30,7 @@ from sfsnet_dr.data.pseudo_labels import SHARD, LabelFolder, Labels, Values, as_
 from sfsnet_dr.data.transforms.flip import flip_map
 from sfsnet_dr.models.base import Decomposition
 from sfsnet_dr.models.inference import load_trained, mirrored, predict
-from sfsnet_dr.models.weights import weights_path
+from sfsnet_dr.models.shipped import weights_path
 
 #: Deviations at which a pixel's confidence has fallen to a half.
 HALF_ANGLE: Final = math.radians(10)

@@ -17,7 +17,8 @@ from sfsnet_dr.core.errors import RunError
 from sfsnet_dr.core.provenance import sha256
 from sfsnet_dr.data.dataset import RelitFaces
 from sfsnet_dr.data.mixed_batch import MixedFaces
-from sfsnet_dr.models.weights import copy_weights, save_weights, weights_path
+from sfsnet_dr.models.shipped import weights_path
+from sfsnet_dr.models.weights import copy_weights, save_weights
 from sfsnet_dr.train.checkpoint import Progress, load_checkpoint, save_checkpoint
 from sfsnet_dr.train.config import Recipe
 from sfsnet_dr.train.distributed import Team

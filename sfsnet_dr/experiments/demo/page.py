@@ -13,7 +13,7 @@ from sfsnet_dr.experiments.validation.page import section
 from sfsnet_dr.experiments.validation.summary import duration, pooled
 from sfsnet_dr.inference.outputs import pictures
 from sfsnet_dr.inference.visualize import Pixels, on_white, png_bytes, show_linear, show_normals
-from sfsnet_dr.models.weights import BEST
+from sfsnet_dr.models.shipped import BEST
 from sfsnet_dr.report.html import Figure, Gallery, KeyNumbers, Note, Section, Table, write_page
 from sfsnet_dr.report.plots import loss_curve
 from sfsnet_dr.report.record import Record

@@ -27,7 +27,7 @@ from sfsnet_dr.inference.decompose import Picture, reconstruction_error, take_ap
 from sfsnet_dr.inference.outputs import Decomposed, write_decomposed
 from sfsnet_dr.metrics.normals import NormalErrors, angular_error_deg
 from sfsnet_dr.models.inference import load_trained
-from sfsnet_dr.models.weights import BEST
+from sfsnet_dr.models.shipped import BEST
 from sfsnet_dr.report.console import bar
 from sfsnet_dr.report.record import Record, measured, write_records
 from sfsnet_dr.scene.lights.presets import light_set

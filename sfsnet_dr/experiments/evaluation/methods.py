@@ -26,7 +26,7 @@ from sfsnet_dr.experiments.evaluation.samples import Shot
 from sfsnet_dr.experiments.evaluation.splits import fine_tuned, fold_suffix
 from sfsnet_dr.inference.baselines import MeanAlbedo, MeanNormals, ModelFit, OneAlbedo, ShadingSearch
 from sfsnet_dr.inference.methods import FlatNormals, Method, NetworkMethod
-from sfsnet_dr.models.weights import weights_name
+from sfsnet_dr.models.shipped import weights_name
 from sfsnet_dr.report.record import dotted
 from sfsnet_dr.scene.faces.linear_model import load_face_modes
 

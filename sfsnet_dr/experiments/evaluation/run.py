@@ -23,7 +23,7 @@ from sfsnet_dr.experiments.evaluation.records import counts_of, csv_text, record
 from sfsnet_dr.experiments.evaluation.samples import Collection
 from sfsnet_dr.experiments.evaluation.splits import cross_validated, strangers, unseen
 from sfsnet_dr.inference.methods import Method
-from sfsnet_dr.models.weights import SHIPPED, weights_path
+from sfsnet_dr.models.shipped import SHIPPED, weights_path
 from sfsnet_dr.report.console import bar
 from sfsnet_dr.report.html import Block, Link, Section, write_page
 from sfsnet_dr.report.record import Record, write_records

@@ -21,7 +21,7 @@ from sfsnet_dr.experiments.photometric_stereo.captures import Capture, Captures
 from sfsnet_dr.inference.methods import NetworkMethod
 from sfsnet_dr.metrics.light import light_direction
 from sfsnet_dr.metrics.normals import angles_deg
-from sfsnet_dr.models.weights import weights_name
+from sfsnet_dr.models.shipped import weights_name
 
 Array = npt.NDArray[np.float64]
 

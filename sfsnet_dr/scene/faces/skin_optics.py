@@ -45,7 +45,7 @@ def melanosome_absorption(wavelength: ArrayLike) -> Array:
 @cache
 def haemoglobin_extinction() -> tuple[Array, Array]:
     """Molar extinction of HbO2 and Hb at ``WAVELENGTHS``, 1/(cm M)."""
-    text = files("sfsnet_dr.scene").joinpath("haemoglobin.toml").read_text(encoding="utf-8")
+    text = files("sfsnet_dr.scene.faces").joinpath("haemoglobin.toml").read_text(encoding="utf-8")
     rows = np.array(tomllib.loads(text)["extinction"], dtype=np.float64)
     return np.interp(WAVELENGTHS, rows[:, 0], rows[:, 1]), np.interp(WAVELENGTHS, rows[:, 0], rows[:, 2])
 

@@ -13,17 +13,8 @@ from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.experiments.pipeline.model_card import card_records, compare, measure_shipped
 from sfsnet_dr.models.inference import load_trained
 from sfsnet_dr.models.sfsnet import SfSNet
-from sfsnet_dr.models.weights import (
-    BEST,
-    SHIPPED,
-    STEP,
-    from_eight_bit,
-    load_weights,
-    save_weights,
-    to_eight_bit,
-    weights_name,
-    weights_path,
-)
+from sfsnet_dr.models.shipped import BEST, SHIPPED, weights_name, weights_path
+from sfsnet_dr.models.weights import STEP, from_eight_bit, load_weights, save_weights, to_eight_bit
 
 
 def test_the_network_that_is_used_unasked_has_the_best_normals() -> None:
