@@ -20,7 +20,7 @@ from sfsnet_dr.core.errors import InputError, check_shape
 from sfsnet_dr.data.bundle import Bundle
 from sfsnet_dr.data.transforms.background import sample_surroundings
 from sfsnet_dr.data.transforms.camera import PhotoOptions, photograph, sample_effects
-from sfsnet_dr.scene.lights.light import NEAR, SceneLight
+from sfsnet_dr.scene.lights.light import NEAR, Light
 from sfsnet_dr.scene.spec import CameraSpec
 from sfsnet_dr.sh.coefficients import Radiance
 from sfsnet_dr.sh.kernel import order_of
@@ -42,7 +42,7 @@ class Mixture:
     irradiance: Array
 
 
-def mixture(light: SceneLight, directions: Array, order: int) -> Mixture:
+def mixture(light: Light, directions: Array, order: int) -> Mixture:
     """Split a light over what a face's transport knows.
 
     Directional lights within ``NEAR`` degrees of a transport's direction go to the response of the nearest
@@ -66,12 +66,12 @@ def mixture(light: SceneLight, directions: Array, order: int) -> Mixture:
     return Mixture(radiance.values, irradiance)
 
 
-def relight(bundle: Bundle, light: SceneLight, photo: PhotoOptions | None = None, seed: int = 0) -> Array:
+def relight(bundle: Bundle, light: Light, photo: PhotoOptions | None = None, seed: int = 0) -> Array:
     """One rendered face under any light, and photographed if wanted.
 
     All that the bundle knows takes part: interreflection, gloss, and hard shadows of lights within ``NEAR``
     degrees of its directions (``bundle.directions``). Other suns and lamps are softened as by thin cloud
-    (``SceneLight.softened``): coefficients cannot hold them.
+    (``Light.softened``): coefficients cannot hold them.
 
     Args:
         bundle: the face.

@@ -31,7 +31,7 @@ from sfsnet_dr.report.html import Block, Figure, Gallery, KeyNumbers, Section, w
 from sfsnet_dr.report.plots import histogram
 from sfsnet_dr.report.record import Record, measured
 from sfsnet_dr.scene.lights.environment_map import load_environment
-from sfsnet_dr.scene.lights.light import SceneLight
+from sfsnet_dr.scene.lights.light import Light
 
 Array = npt.NDArray[np.float64]
 
@@ -148,7 +148,7 @@ def relight_file(
     write_png(out, np.clip(image, 0.0, None))
 
 
-def lamp(text: str) -> SceneLight:
+def lamp(text: str) -> Light:
     """A white lamp in a direction written as three numbers.
 
     Raises:
@@ -161,7 +161,7 @@ def lamp(text: str) -> SceneLight:
     length = float(np.linalg.norm(toward))
     if toward.shape != (3,) or not np.isfinite(length) or length == 0:
         raise InputError(f"--direction: {text!r} found, three finite numbers X,Y,Z are needed, not all 0")
-    return SceneLight("lamp", None, ((toward / length, np.ones(3)),))
+    return Light("lamp", None, ((toward / length, np.ones(3)),))
 
 
 def tone_name(ita: float) -> str:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.scene.lights.equirect import MAP_SIZE
-from sfsnet_dr.scene.lights.light import SceneLight
+from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.spec import SceneSpec
 from sfsnet_dr.sh.coefficients import Radiance
 from sfsnet_dr.sh.kernel import MAX_ORDER, clamped_cosine
@@ -58,7 +58,7 @@ def has_closed_form(spec: SceneSpec) -> bool:
     return spec.shape in SHAPES and not spec.has_gloss
 
 
-def closed_form(spec: SceneSpec, light: SceneLight, order: int | None, *, deferred: bool) -> ClosedForm:
+def closed_form(spec: SceneSpec, light: Light, order: int | None, *, deferred: bool) -> ClosedForm:
     """The image of a sphere or plane as its camera sees it, all light counted or that to an SH order.
 
     Args:
@@ -92,7 +92,7 @@ def closed_form(spec: SceneSpec, light: SceneLight, order: int | None, *, deferr
 class _Shade:
     """Shading (..., 3) of a white convex surface by its normals (..., 3)."""
 
-    def __init__(self, light: SceneLight, order: int | None) -> None:
+    def __init__(self, light: Light, order: int | None) -> None:
         self.directional, self.order = light.directional, order
         self.radiance: Radiance | None = None
         if light.environment is not None:
@@ -136,7 +136,7 @@ def by_harmonics(normals: Array, radiance: Radiance) -> Array:
     return total
 
 
-def _beyond(light: SceneLight, radiance: Radiance | None) -> Array:
+def _beyond(light: Light, radiance: Radiance | None) -> Array:
     """Greatest shading (3,) that the map's bands above the computed order can add anywhere."""
     if light.environment is None or radiance is None:
         return np.zeros(3)
@@ -147,7 +147,7 @@ def _beyond(light: SceneLight, radiance: Radiance | None) -> Array:
     return np.asarray(np.sqrt(left * kernel) / np.pi)
 
 
-def _at_terminator(light: SceneLight, normals: Array) -> Array:
+def _at_terminator(light: Light, normals: Array) -> Array:
     """Light (H, W, 3) that shadow rays may lose where it falls flatter than a facet is wide."""
     lost = np.zeros(normals.shape)
     for direction, irradiance in light.directional:

@@ -22,7 +22,7 @@ from sfsnet_dr.data.transforms.camera import PhotoOptions
 from sfsnet_dr.data.transforms.crop import View
 from sfsnet_dr.data.transforms.flip import flip_map, flip_normal, flip_transport
 from sfsnet_dr.scene.lights.cache import bank_of
-from sfsnet_dr.scene.lights.light import SceneLight
+from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.lights.spec import LightSpec
 from sfsnet_dr.sh.basis import sh_basis
 
@@ -62,7 +62,7 @@ def test_hard_lamps_and_gloss_are_those_of_the_bundle(tmp_path: Path) -> None:
     write_bundle(tmp_path / "a.exr", bundle)
     Manifest(tmp_path, SPEC).append(Entry("a.exr", 0, "sphere", SPEC, "0"))
     dome = np.full((64, 128, 3), 0.3)
-    lamp = SceneLight("lamp", dome, ((bundle.directions[0], np.array([1.0, 2.0, 0.5])),))
+    lamp = Light("lamp", dome, ((bundle.directions[0], np.array([1.0, 2.0, 0.5])),))
     light = replace(NO_LIGHT, lobes=1, exposure=(0.3, 0.3), white_balance=(1.0, 1.0))
     augmentation = replace(PLAIN, light=light)
     batch = RelitFaces(load_faces(tmp_path), 1, augmentation, 0, bank_of([(lamp, False)])).batch(0)

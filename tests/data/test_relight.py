@@ -13,7 +13,7 @@ from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.data.relight import mixture, relight, relight_batch, relight_scene, relight_transport
 from sfsnet_dr.data.transforms.camera import PhotoOptions
 from sfsnet_dr.data.transforms.flip import flip_map, flip_normal, flip_transport, x_parity
-from sfsnet_dr.scene.lights.light import SceneLight, heading, rotation_about
+from sfsnet_dr.scene.lights.light import Light, heading, rotation_about
 from sfsnet_dr.sh.basis import sh_basis
 from sfsnet_dr.sh.coefficients import Radiance
 
@@ -90,11 +90,11 @@ def test_reflected_normals_shade_as_the_reflected_transport() -> None:
     np.testing.assert_allclose(relight_transport(np.moveaxis(transport, 1, -1), light), expected, atol=2e-6)
 
 
-def lit() -> SceneLight:
+def lit() -> Light:
     """A dim room, a lamp of the bundle's own and one from elsewhere."""
     room = np.full((64, 128, 3), 0.2)
     near = rotation_about(np.array([1.0, 0.0, 0.0]), 1.0) @ heading(30.0, 0.0)
-    return SceneLight("lit", room, ((near, np.array([3.0, 2, 1])), (heading(-60.0, 10.0), np.ones(3))))
+    return Light("lit", room, ((near, np.array([3.0, 2, 1])), (heading(-60.0, 10.0), np.ones(3))))
 
 
 def test_lamps_go_to_the_nearest_direction_or_into_the_coefficients() -> None:
@@ -102,7 +102,7 @@ def test_lamps_go_to_the_nearest_direction_or_into_the_coefficients() -> None:
     light = lit()
     mixed = mixture(light, directions, 2)
     np.testing.assert_allclose(mixed.irradiance, [[0, 0, 0], [3, 2, 1], [0, 0, 0]])
-    rest = SceneLight("rest", light.environment, light.directional[1:])
+    rest = Light("rest", light.environment, light.directional[1:])
     np.testing.assert_allclose(mixed.radiance, rest.coefficients(2).values, atol=1e-14)
     none = mixture(light, np.zeros((0, 3)), 2)
     np.testing.assert_allclose(none.radiance, light.coefficients(2).values, atol=1e-14)
@@ -139,13 +139,13 @@ def test_one_call_relights_with_all_that_a_bundle_knows() -> None:
     gloss = np.random.default_rng(0).uniform(0, 0.1, (9, *bundle.mask.shape)).astype(np.float32)
     bundle = replace(bundle, gloss=gloss * bundle.coverage)
     room, power = np.full((64, 128, 3), 0.2), np.array([3.0, 2, 1])
-    hard = SceneLight("hard", room, ((bundle.directions[1], power),))
+    hard = Light("hard", room, ((bundle.directions[1], power),))
     image = relight(bundle, hard)
     toward = np.maximum(bundle.normal @ bundle.directions[1], 0)[..., None] * power / np.pi
     # The room is a light of order 0: the ball shows its albedo, and the first gloss response.
     expected = bundle.albedo * (0.2 + toward) + 0.2 * np.sqrt(4 * np.pi) * bundle.gloss[0][..., None]
     np.testing.assert_allclose(image, expected, atol=1e-4)  # the room's projection from a map
-    elsewhere = SceneLight("elsewhere", room, ((-bundle.directions[1], power),))
+    elsewhere = Light("elsewhere", room, ((-bundle.directions[1], power),))
     soft = elsewhere.softened(bundle.directions)
     mixed = mixture(soft, bundle.directions, 2)
     assert not mixed.irradiance.any()
@@ -156,7 +156,7 @@ def test_one_call_relights_with_all_that_a_bundle_knows() -> None:
 
 def test_one_call_takes_a_photograph() -> None:
     bundle = sphere_bundle(1)
-    light = SceneLight("room", np.full((64, 128, 3), 0.5))
+    light = Light("room", np.full((64, 128, 3), 0.5))
     photo = PhotoOptions(exposure=0.0, white_balance=0.0, blur=0.0, noise=0.0, jpeg=0.0, grey=0.0)
     plain, taken = relight(bundle, light), relight(bundle, light, photo)
     covered = bundle.coverage == 1

@@ -7,19 +7,19 @@ import pytest
 
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.metrics.closed_form import by_harmonics, by_legendre, closed_form
-from sfsnet_dr.scene.lights.light import SceneLight, heading
+from sfsnet_dr.scene.lights.light import Light, heading
 from sfsnet_dr.scene.spec import CameraSpec, SceneSpec
 from sfsnet_dr.sh.projection import project_directional
 
 SPHERE = SceneSpec(name="ball", shape="sphere", albedo=(0.2, 0.5, 0.8), camera=CameraSpec(size=24))
 PLANE = SceneSpec(name="wall", shape="plane", albedo=(0.2, 0.5, 0.8), camera=CameraSpec(size=24))
 ALBEDO = np.array([0.2, 0.5, 0.8])
-LAMP = SceneLight("lamp", None, ((heading(40, 30), np.pi * np.array([1.0, 2.0, 3.0])),))
+LAMP = Light("lamp", None, ((heading(40, 30), np.pi * np.array([1.0, 2.0, 3.0])),))
 
 
 @pytest.mark.parametrize("order", [None, 0, 2, 4])
 def test_a_furnace_shows_the_albedo(order: int | None) -> None:
-    found = closed_form(SPHERE, SceneLight("all", np.ones((64, 128, 3))), order, deferred=False)
+    found = closed_form(SPHERE, Light("all", np.ones((64, 128, 3))), order, deferred=False)
     np.testing.assert_allclose(found.image[12, 12], ALBEDO, rtol=1e-9)
     assert (found.image[0, 0] == 0).all()
     assert (found.allowance[12, 12] < 1e-4).all()
@@ -45,7 +45,7 @@ def test_legendre_and_harmonics_are_two_ways_to_the_same() -> None:
 
 
 def test_the_left_of_the_picture_is_lit_from_the_left() -> None:
-    left = SceneLight("left", None, ((heading(-60, 0), np.ones(3)),))
+    left = Light("left", None, ((heading(-60, 0), np.ones(3)),))
     image = closed_form(SPHERE, left, None, deferred=False).image
     assert image[:, :12].sum() > 3 * image[:, 12:].sum()
 

@@ -16,7 +16,7 @@ from sfsnet_dr.render.path_tracer import path_trace
 from sfsnet_dr.render.renderers.base import Budget
 from sfsnet_dr.render.renderers.registry import find_renderer
 from sfsnet_dr.render.sobol import Sampler
-from sfsnet_dr.scene.lights.light import SceneLight
+from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.mesh import SHAPES, sphere
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
 from sfsnet_dr.scene.spec import CameraSpec, SamplingSpec, SceneSpec
@@ -50,9 +50,9 @@ def ball() -> Subject:
 
 
 @cache
-def lamps() -> list[SceneLight]:
+def lamps() -> list[Light]:
     """42 directions over the whole sphere. One lamp an image: the path tracer picks one, which is noise."""
-    return [SceneLight("lamp", None, ((toward, np.full(3, np.pi)),)) for toward in icosphere(1)]
+    return [Light("lamp", None, ((toward, np.full(3, np.pi)),)) for toward in icosphere(1)]
 
 
 @cache

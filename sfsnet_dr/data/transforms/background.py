@@ -22,13 +22,13 @@ from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.data.transforms.camera import PhotoOptions
 from sfsnet_dr.data.transforms.crop import View
 from sfsnet_dr.scene.lights.equirect import lookup
-from sfsnet_dr.scene.lights.light import SceneLight
+from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.lights.spec import LightSpec
 
 Array = NDArray[np.float64]
 
 
-def sample_surroundings(rng: np.random.Generator, light: SceneLight, distance: float, size: int) -> Array:
+def sample_surroundings(rng: np.random.Generator, light: Light, distance: float, size: int) -> Array:
     """A random background under the light of the face.
 
     Args:

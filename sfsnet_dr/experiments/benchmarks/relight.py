@@ -34,7 +34,7 @@ from sfsnet_dr.report.html import Block, Gallery, KeyNumbers, Note, Section, Tab
 from sfsnet_dr.report.record import Record, measured, write_records
 from sfsnet_dr.scene.faces.face import sample_face
 from sfsnet_dr.scene.lights.equirect import MAP_SIZE
-from sfsnet_dr.scene.lights.light import MAP_ORDER, SceneLight
+from sfsnet_dr.scene.lights.light import MAP_ORDER, Light
 from sfsnet_dr.scene.lights.sampling import sample_direction, sample_scene_light
 from sfsnet_dr.scene.lights.spec import LightKind, LightSpec
 from sfsnet_dr.scene.mesh import Mesh
@@ -94,7 +94,7 @@ class Studio:
         self._scenes: dict[tuple[bool, int], SurfaceScene] = {}
         self._shown: dict[tuple[bool, int], Mesh] = {}
 
-    def place(self, view: _View, light: SceneLight) -> SurfaceScene:
+    def place(self, view: _View, light: Light) -> SurfaceScene:
         """A scene with a face, a camera and a light."""
         mesh, camera = view.mesh, view.camera
         key = (light.environment is not None, len(light.directional))
@@ -130,7 +130,7 @@ class RelitFaces:
         view = _View(face.mesh, face.pose.camera(spec.camera), seed)
         directions = _directions(seed, spec.sampling.directions)
         options = CaptureOptions(MAP_ORDER, spec.sampling.bounces, spec.sampling.paths)
-        scene = self._whole.place(view, SceneLight("white", np.ones((*MAP_SIZE, 3))))
+        scene = self._whole.place(view, Light("white", np.ones((*MAP_SIZE, 3))))
         pair = [capture(scene, spec.sampling.transport, 2 * seed + k, options, directions) for k in range(2)]
         black, found = view.black(), []
         for number, kind in enumerate(KINDS):
@@ -142,7 +142,7 @@ class RelitFaces:
         return FaceErrors(squared, relit.astype(np.float32), traced.astype(np.float32), pair[0].coverage)
 
     def _measure(
-        self, pair: Sequence[Capture], directions: Array, light: SceneLight, view: _View, black: _View
+        self, pair: Sequence[Capture], directions: Array, light: Light, view: _View, black: _View
     ) -> tuple[Array, Array, Array]:
         """Squared errors (len(PARTS),) under one light, and the two images."""
         weights, depth = mixture(light, directions, MAP_ORDER), self._spec.sampling.bounces + 2
@@ -170,12 +170,12 @@ class RelitFaces:
         power = float((traced[0] * traced[1])[inside].mean())
         return np.array([found[part] for part in PARTS]) / power, relit[0], (traced[0] + traced[1]) / 2
 
-    def _trace(self, studio: Studio, view: _View, light: SceneLight, depth: int) -> list[Array]:
+    def _trace(self, studio: Studio, view: _View, light: Light, depth: int) -> list[Array]:
         """Two images of independent noise; other lights and depths share it as far as paths are the same."""
         scene, samples = studio.place(view, light), self._spec.sampling.reference
         return [path_trace(scene, samples, 2 * view.seed + k, depth).mean for k in range(2)]
 
-    def _trace_smooth(self, studio: Studio, view: _View, light: SceneLight, depth: int) -> list[Array]:
+    def _trace_smooth(self, studio: Studio, view: _View, light: Light, depth: int) -> list[Array]:
         """The same with the environment's expansion in place of the environment.
 
         Where the expansion is negative it is no light: there its opposite is traced and taken away.
@@ -184,7 +184,7 @@ class RelitFaces:
         expansion = texels @ light.environment_coefficients(MAP_ORDER).values
         images = self._trace(studio, view, replace(light, environment=np.maximum(expansion, 0.0)), depth)
         if expansion.min() < 0:
-            below = SceneLight("negative", np.maximum(-expansion, 0.0))
+            below = Light("negative", np.maximum(-expansion, 0.0))
             images = _less(images, self._trace(studio, view, below, depth))
         return images
 
@@ -194,7 +194,7 @@ def _directions(seed: int, count: int) -> Array:
     return np.array([sample_direction(rng) for _ in range(count)]).reshape(-1, 3)
 
 
-def _light(spec: LightSpec, kind: LightKind, rng: np.random.Generator, directions: Array) -> SceneLight:
+def _light(spec: LightSpec, kind: LightKind, rng: np.random.Generator, directions: Array) -> Light:
     only = {name: float(name == kind) for name in (*KINDS, "lobes")}
     return sample_scene_light(rng, replace(spec, **only), directions)  # type: ignore[arg-type]
 

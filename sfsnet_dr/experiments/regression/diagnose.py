@@ -24,7 +24,7 @@ from sfsnet_dr.render.renderers.base import Capabilities
 from sfsnet_dr.render.renderers.sh import surface_maps
 from sfsnet_dr.report.plots import error_map
 from sfsnet_dr.report.record import dotted
-from sfsnet_dr.scene.lights.light import SceneLight
+from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.subject import Subject
 
 Array = npt.NDArray[np.float64]
@@ -163,7 +163,7 @@ def _sums(values: Array) -> Array:
     return np.asarray(np.add.reduceat(rows, np.arange(0, values.shape[1], _BLOCK), axis=1))
 
 
-def _fits(reference: Array, subject: Subject, light: SceneLight, says: Capabilities) -> Iterator[_Fit]:
+def _fits(reference: Array, subject: Subject, light: Light, says: Capabilities) -> Iterator[_Fit]:
     yield _Fit([reference], "brightness x {0:+.2%}: albedo, exposure or a constant factor")
     colours = [reference * (np.arange(3) == c) for c in range(3)]
     yield _Fit(colours, "red {0:+.2%}, green {1:+.2%}, blue {2:+.2%}: colour of albedo or light")
@@ -177,7 +177,7 @@ def _fits(reference: Array, subject: Subject, light: SceneLight, says: Capabilit
     yield from _by_normals(reference, subject, light, says)
 
 
-def _by_normals(reference: Array, subject: Subject, light: SceneLight, says: Capabilities) -> Iterator[_Fit]:
+def _by_normals(reference: Array, subject: Subject, light: Light, says: Capabilities) -> Iterator[_Fit]:
     """What depends on normals: the light's direction, axes and bands, and the cosine."""
     normal = np.moveaxis(surface_maps(subject).normal[0].astype(np.float64), 0, -1)
     shading = shaded(normal, light, says.order)

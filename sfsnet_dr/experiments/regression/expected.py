@@ -18,7 +18,7 @@ from sfsnet_dr.metrics.closed_form import closed_form, has_closed_form
 from sfsnet_dr.metrics.equivalence import Estimate, exact
 from sfsnet_dr.render.renderers.base import Capabilities
 from sfsnet_dr.render.shading_numpy import MAX_ORDER, shading, unit
-from sfsnet_dr.scene.lights.light import SceneLight
+from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.subject import Subject
 
 Array = npt.NDArray[np.float64]
@@ -48,7 +48,7 @@ class Truth:
     allowance: Array
     words: str
     subject: Subject
-    light: SceneLight
+    light: Light
     says: Capabilities
 
 
@@ -60,7 +60,7 @@ class Truths:
         references: what is stored.
     """
 
-    def __init__(self, subject: Subject, light: SceneLight, references: References) -> None:
+    def __init__(self, subject: Subject, light: Light, references: References) -> None:
         self.subject, self.light, self.references = subject, light, references
         self._known: dict[Capabilities, Truth] = {}
 
@@ -71,9 +71,7 @@ class Truths:
         return self._known[capabilities]
 
 
-def truth_of(
-    capabilities: Capabilities, subject: Subject, light: SceneLight, references: References
-) -> Truth:
+def truth_of(capabilities: Capabilities, subject: Subject, light: Light, references: References) -> Truth:
     """The truth of a renderer on a subject under a light.
 
     Raises:
@@ -107,7 +105,7 @@ def forgiving(truth: Truth, known: Sequence[KnownDifference]) -> Truth:
     return replace(truth, allowance=allowance, words=words)
 
 
-def shade_maps(maps: Maps, light: SceneLight, order: int | None) -> Estimate:
+def shade_maps(maps: Maps, light: Light, order: int | None) -> Estimate:
     """The NumPy form of a shading model on stored maps, with the noise of the maps carried through."""
     middle = shaded(maps.normal, light, order)
     slope = np.zeros_like(middle)
@@ -118,7 +116,7 @@ def shade_maps(maps: Maps, light: SceneLight, order: int | None) -> Estimate:
     return Estimate(maps.albedo * middle, variance)
 
 
-def shaded(normal: Array, light: SceneLight, order: int | None) -> Array:
+def shaded(normal: Array, light: Light, order: int | None) -> Array:
     """Shading (H, W, 3) to an order; for all light, lamps by Lambert's law and the map to order 8."""
     coefficients = light.environment_coefficients(MAX_ORDER) if order is None else light.coefficients(order)
     flat = coefficients.to_shading().flat()[None]

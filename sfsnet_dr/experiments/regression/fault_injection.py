@@ -25,7 +25,7 @@ from sfsnet_dr.render.renderers.base import Budget, Capabilities, Image, Rendere
 from sfsnet_dr.render.renderers.registry import find_renderer
 from sfsnet_dr.render.renderers.sandbox import Outcome
 from sfsnet_dr.render.renderers.sh import once, surface_maps
-from sfsnet_dr.scene.lights.light import SceneLight, rotation_about
+from sfsnet_dr.scene.lights.light import Light, rotation_about
 from sfsnet_dr.scene.lights.presets import light_set
 from sfsnet_dr.scene.subject import Subject, build_subject
 
@@ -37,7 +37,7 @@ _EXCHANGED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 _FLATTEST = 0.02  # cosine below which nothing is divided by it
 
 #: Renders a subject under a light, and may go wrong by a size in doing so.
-Wrong = Callable[[Renderer, Subject, SceneLight, Budget, float], Image]
+Wrong = Callable[[Renderer, Subject, Light, Budget, float], Image]
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Planted:
         self.name, self.capabilities = host.name, host.capabilities
         self._host, self._defect, self._size = host, defect, size
 
-    def render(self, subject: Subject, light: SceneLight, budget: Budget) -> Image:
+    def render(self, subject: Subject, light: Light, budget: Budget) -> Image:
         """The image with the defect."""
         return self._defect.render(self._host, subject, light, budget, self._size)
 
@@ -92,11 +92,11 @@ class Remembered:
         self.name: str = host.name
         self.capabilities: Capabilities = host.capabilities
         self._host = host
-        self._known: WeakKeyDictionary[Subject, dict[tuple[int, Budget], tuple[SceneLight, Image]]] = (
+        self._known: WeakKeyDictionary[Subject, dict[tuple[int, Budget], tuple[Light, Image]]] = (
             WeakKeyDictionary()
         )
 
-    def render(self, subject: Subject, light: SceneLight, budget: Budget) -> Image:
+    def render(self, subject: Subject, light: Light, budget: Budget) -> Image:
         """As the host's."""
         images = self._known.setdefault(subject, {})
         key = (id(light), budget)
@@ -117,35 +117,33 @@ def _moved(subject: Subject, right: float) -> Subject:
 
 
 @once
-def _light_turned(light: SceneLight, degrees: float) -> SceneLight:
+def _light_turned(light: Light, degrees: float) -> Light:
     return light.turned(rotation_about(_AXIS, degrees))
 
 
 @once
-def _light_exchanged(light: SceneLight) -> SceneLight:
+def _light_exchanged(light: Light) -> Light:
     return light.turned(_EXCHANGED)
 
 
-def _brighter(host: Renderer, subject: Subject, light: SceneLight, budget: Budget, size: float) -> Image:
+def _brighter(host: Renderer, subject: Subject, light: Light, budget: Budget, size: float) -> Image:
     return host.render(_with_albedo(subject, 1 + size), light, budget)
 
 
-def _turned(host: Renderer, subject: Subject, light: SceneLight, budget: Budget, size: float) -> Image:
+def _turned(host: Renderer, subject: Subject, light: Light, budget: Budget, size: float) -> Image:
     return host.render(subject, _light_turned(light, size), budget)
 
 
-def _exchanged(host: Renderer, subject: Subject, light: SceneLight, budget: Budget, size: float) -> Image:
+def _exchanged(host: Renderer, subject: Subject, light: Light, budget: Budget, size: float) -> Image:
     return host.render(subject, _light_exchanged(light), budget)
 
 
-def _shifted(host: Renderer, subject: Subject, light: SceneLight, budget: Budget, size: float) -> Image:
+def _shifted(host: Renderer, subject: Subject, light: Light, budget: Budget, size: float) -> Image:
     pixel = 2.0 / subject.camera.size  # scene units at z = 0
     return host.render(_moved(subject, size * pixel), light, budget)
 
 
-def _without_cosine(
-    host: Renderer, subject: Subject, light: SceneLight, budget: Budget, size: float
-) -> Image:
+def _without_cosine(host: Renderer, subject: Subject, light: Light, budget: Budget, size: float) -> Image:
     """Divided by the cosine to the first lamp, or, without a lamp, to the brightest side of the map."""
     image = np.asarray(host.render(subject, light, budget), dtype=np.float64)
     normal = np.moveaxis(surface_maps(subject).normal[0].astype(np.float64), 0, -1)
@@ -158,13 +156,13 @@ def _without_cosine(
     return np.asarray(image * cosine[..., None] ** -size)
 
 
-def _curved(host: Renderer, subject: Subject, light: SceneLight, budget: Budget, size: float) -> Image:
+def _curved(host: Renderer, subject: Subject, light: Light, budget: Budget, size: float) -> Image:
     """An image that is already linear light for its reader goes through the sRGB curve once more."""
     image = np.asarray(host.render(subject, light, budget), dtype=np.float64)
     return np.asarray((1 - size) * image + size * linear_to_srgb(np.maximum(image, 0.0)))
 
 
-def _lower_order(host: Renderer, subject: Subject, light: SceneLight, budget: Budget, size: float) -> Image:
+def _lower_order(host: Renderer, subject: Subject, light: Light, budget: Budget, size: float) -> Image:
     from sfsnet_dr.render.renderers.registry import find_renderer
 
     image = np.asarray(host.render(subject, light, budget), dtype=np.float64)
@@ -307,7 +305,7 @@ def _rows(renderer: Renderer, plot: list[Truths], spec: RegressSpec, seed: int) 
 def direct(renderer: Renderer) -> Render:
     """A renderer in this process, without a guard: what fails stops everything."""
 
-    def render(subject: Subject, light: SceneLight, budget: Budget) -> Outcome:
+    def render(subject: Subject, light: Light, budget: Budget) -> Outcome:
         begin = time.perf_counter()
         image = renderer.render(subject, light, budget)
         return Outcome(renderer.name, image, time.perf_counter() - begin, renderer.capabilities, None)

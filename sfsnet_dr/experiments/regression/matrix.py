@@ -18,7 +18,7 @@ from sfsnet_dr.metrics.equivalence import Agreement, Estimate, agree, exact, fro
 from sfsnet_dr.render.renderers.base import Budget, Capabilities
 from sfsnet_dr.render.renderers.registry import find_renderer, is_built_in, renderers
 from sfsnet_dr.render.renderers.sandbox import Outcome, run_guarded
-from sfsnet_dr.scene.lights.light import SceneLight
+from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.lights.presets import light_set
 from sfsnet_dr.scene.subject import Subject, build_subject
 
@@ -26,7 +26,7 @@ Array = npt.NDArray[np.float64]
 Verdict = Literal["agrees", "differs", "failed", "not installed"]
 
 #: Gives an image, or says why there is none.
-Render = Callable[[Subject, SceneLight, Budget], Outcome]
+Render = Callable[[Subject, Light, Budget], Outcome]
 
 #: Rays a pixel that a model without noise of its own is taken to have made its maps with.
 _RAYS: Final = 64
@@ -177,7 +177,7 @@ def _judged(row: Row, pairs: int, level: float) -> Row:
     return replace(row, p=p, verdict="differs" if p < level else "agrees")
 
 
-def subjects(spec: RegressSpec) -> Iterable[tuple[Subject, list[SceneLight]]]:
+def subjects(spec: RegressSpec) -> Iterable[tuple[Subject, list[Light]]]:
     """The surfaces of a matrix with their lights, each built when its turn comes."""
     for pair in spec.scenes:
         yield build_subject(spec.scene(pair.scene)), light_set(",".join(pair.lights))

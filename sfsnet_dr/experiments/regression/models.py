@@ -11,7 +11,7 @@ from sfsnet_dr.metrics.equivalence import Estimate
 from sfsnet_dr.render.path_tracer import path_trace
 from sfsnet_dr.render.renderers.base import Capabilities
 from sfsnet_dr.scene.lights.equirect import MAP_SIZE
-from sfsnet_dr.scene.lights.light import SceneLight
+from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
 from sfsnet_dr.scene.subject import Subject
 from sfsnet_dr.sh.basis import sh_basis
@@ -48,7 +48,7 @@ def model_of(capabilities: Capabilities, subject: Subject) -> Model:
     return Model(capabilities.bounces, gloss, capabilities.order)
 
 
-def trace(subject: Subject, light: SceneLight, model: Model, samples: int, seed: int) -> Estimate:
+def trace(subject: Subject, light: Light, model: Model, samples: int, seed: int) -> Estimate:
     """The model's picture by path tracing; its variance comes from the samples.
 
     Light of few SH bands is negative in places. It is then rendered in two parts, the positive and the
@@ -64,7 +64,7 @@ def trace(subject: Subject, light: SceneLight, model: Model, samples: int, seed:
     return Estimate(first.mean - second.mean, first.variance + second.variance, first.freedom)
 
 
-def truncated(light: SceneLight, order: int) -> tuple[SceneLight, SceneLight | None]:
+def truncated(light: Light, order: int) -> tuple[Light, Light | None]:
     """The light to an SH order as maps: its positive part and, where it has one, its negative part."""
     wanted = light.coefficients(order).values
     basis = sh_basis(equirect_directions(*MAP_SIZE), order)
@@ -74,11 +74,11 @@ def truncated(light: SceneLight, order: int) -> tuple[SceneLight, SceneLight | N
         given = given + wanted - found
     values = basis @ given
     negative = np.maximum(-values, 0.0)
-    lower = SceneLight(light.name, negative) if negative.max() > 0 else None
-    return SceneLight(light.name, np.maximum(values, 0.0)), lower
+    lower = Light(light.name, negative) if negative.max() > 0 else None
+    return Light(light.name, np.maximum(values, 0.0)), lower
 
 
-def _traced(subject: Subject, light: SceneLight, model: Model, samples: int, seed: int) -> Estimate:
+def _traced(subject: Subject, light: Light, model: Model, samples: int, seed: int) -> Estimate:
     lit = light.environment is not None
     scene = SurfaceScene(subject.mesh, subject.camera, light.directional, environment=lit, gloss=model.gloss)
     if light.environment is not None:

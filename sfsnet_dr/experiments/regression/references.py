@@ -25,7 +25,7 @@ from sfsnet_dr.experiments.regression.config import RegressSpec
 from sfsnet_dr.experiments.regression.models import Model, trace
 from sfsnet_dr.metrics.equivalence import Estimate
 from sfsnet_dr.render.aovs import CaptureOptions, capture
-from sfsnet_dr.scene.lights.light import SceneLight
+from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
 from sfsnet_dr.scene.subject import Subject
 
@@ -70,7 +70,7 @@ class References:
     def __init__(self, folder: Path | str, *, across_versions: bool = False) -> None:
         self.folder, self._across = Path(folder), across_versions
 
-    def picture(self, subject: Subject, light: SceneLight, model: Model) -> Estimate:
+    def picture(self, subject: Subject, light: Light, model: Model) -> Estimate:
         """The stored picture of a model.
 
         Raises:
@@ -117,7 +117,7 @@ class References:
 def make_references(
     spec: RegressSpec,
     folder: Path | str,
-    scenes: Iterable[tuple[Subject, list[SceneLight]]],
+    scenes: Iterable[tuple[Subject, list[Light]]],
     models: Callable[[Subject], list[Model]],
     on_file: Callable[[], None] = lambda: None,
 ) -> None:
@@ -146,7 +146,7 @@ def make_references(
             on_file()
 
 
-def light_hash(light: SceneLight) -> str:
+def light_hash(light: Light) -> str:
     """A short hash of a light's numbers to four digits: rounding on another machine does not change it."""
     digest = hashlib.sha256()
     parts = [] if light.environment is None else [light.environment]
@@ -184,7 +184,7 @@ def _said(spec: Any) -> dict[str, Any]:
     return found
 
 
-def _identity(subject: Subject, light: SceneLight | None) -> dict[str, str]:
+def _identity(subject: Subject, light: Light | None) -> dict[str, str]:
     """What a reference has to have been made for."""
     scene = {"scene hash": scene_hash(subject)}
     lit = {} if light is None else {"light hash": light_hash(light)}
@@ -192,7 +192,7 @@ def _identity(subject: Subject, light: SceneLight | None) -> dict[str, str]:
 
 
 def _write(
-    path: Path, planes: dict[str, Array], subject: Subject, light: SceneLight | None, spec: RegressSpec
+    path: Path, planes: dict[str, Array], subject: Subject, light: Light | None, spec: RegressSpec
 ) -> None:
     facts = {
         **_identity(subject, light),

@@ -18,7 +18,7 @@ from sfsnet_dr.experiments.validation.references import FineMaps, Levels, Pair, 
 from sfsnet_dr.metrics.image import flip, has_flip, mae_8bit
 from sfsnet_dr.metrics.noise_free import RelativeRmse, relative_rmse, worst_block
 from sfsnet_dr.render.path_tracer import path_trace
-from sfsnet_dr.scene.lights.light import SceneLight
+from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.lights.presets import require_light
 from sfsnet_dr.scene.subject import Subject
 
@@ -94,7 +94,7 @@ class LightResult:
         variance: of one path's radiance, mean over mask and colours.
     """
 
-    light: SceneLight
+    light: Light
     rows: tuple[Row, ...]
     paths: tuple[PathTime, ...]
     truth: Pair
@@ -133,7 +133,7 @@ class Ladder:
 
 def climb(
     subject: Subject,
-    lights: Sequence[SceneLight],
+    lights: Sequence[Light],
     *,
     samples: int | None = None,
     seed: int = 0,
@@ -185,7 +185,7 @@ def errors_of(image: Pair, truth: Pair, mask: Image) -> Errors:
 
 
 def _measure(
-    light: SceneLight,
+    light: Light,
     levels: Levels,
     known: Known,
     fine: FineMaps,
@@ -216,7 +216,7 @@ def _measure(
 
 
 def _steps(
-    rung: Rung, image: Pair, light: SceneLight, levels: Levels, fine: FineMaps, complete: Pair
+    rung: Rung, image: Pair, light: Light, levels: Levels, fine: FineMaps, complete: Pair
 ) -> list[Step]:
     """From a rung's image to the truth; see ``study.causes``."""
     further = _after_direct(levels)
@@ -265,7 +265,7 @@ def _limit(name: str, key: str, steps: list[Step], levels: Levels, mask: Image) 
     return Row(name, key, "path", errors_of(image, levels.truth, mask), split(steps, mask), image.mean)
 
 
-def _path_times(stage: Stage, light: SceneLight, variance: float, seed: int) -> tuple[PathTime, ...]:
+def _path_times(stage: Stage, light: Light, variance: float, seed: int) -> tuple[PathTime, ...]:
     scene, found = stage.lit(light, stage.subject.spec.has_gloss), []
     for samples in PATH_SAMPLES:
         begin = time.perf_counter()

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from sfsnet_dr.render.aovs import Capture, CaptureOptions, capture
 from sfsnet_dr.render.shading_drjit_reference import render_planes
 from sfsnet_dr.scene.jit import dr, mi, upload
-from sfsnet_dr.scene.lights.light import SceneLight
+from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
 from sfsnet_dr.scene.spec import FACE_SHAPES
 from sfsnet_dr.scene.subject import Subject
@@ -102,13 +102,13 @@ class Known:
             return planes
         return (planes[0][: (rung.order + 1) ** 2], planes[1])
 
-    def image(self, rung: Rung, light: SceneLight) -> Image:
+    def image(self, rung: Rung, light: Light) -> Image:
         """(H, W, 3) of a rung under a light."""
         values = kernel_of(rung)(*self.inputs(rung), *weights(rung, light.coefficients(rung.order)))
         dr.eval(values)
         return np.asarray(values, dtype=np.float64).T.reshape(self.maps.normal.shape)
 
-    def noise(self, rung: Rung, light: SceneLight) -> float:
+    def noise(self, rung: Rung, light: Light) -> float:
         """Mean squared noise of a rung's image under a light, from its two captures."""
         if rung.kind == "analytic":
             return 0.0

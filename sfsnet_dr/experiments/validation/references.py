@@ -18,7 +18,7 @@ import numpy.typing as npt
 from sfsnet_dr.render.aovs import CaptureOptions, capture
 from sfsnet_dr.render.path_tracer import Reference, path_trace
 from sfsnet_dr.scene.lights.equirect import MAP_SIZE, lookup
-from sfsnet_dr.scene.lights.light import SceneLight
+from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
 from sfsnet_dr.scene.subject import Subject
 from sfsnet_dr.sh.projection import equirect_directions, equirect_solid_angles
@@ -70,7 +70,7 @@ class Stage:
         self.subject = subject
         self._scenes: dict[tuple[bool, int, bool], SurfaceScene] = {}
 
-    def lit(self, light: SceneLight, gloss: bool) -> SurfaceScene:
+    def lit(self, light: Light, gloss: bool) -> SurfaceScene:
         """The scene under a light, with or without the glossy lobes; good until the next call."""
         key = (gloss, len(light.directional), light.environment is not None)
         if key not in self._scenes:
@@ -85,7 +85,7 @@ class Stage:
         return scene
 
 
-def trace_levels(stage: Stage, light: SceneLight, samples: int, seed: int) -> Levels:
+def trace_levels(stage: Stage, light: Light, samples: int, seed: int) -> Levels:
     """Trace all levels.
 
     Args:
@@ -157,11 +157,11 @@ class FineMaps:
         image[self.pixels] = (self.albedo * shading).mean(axis=1)
         return image
 
-    def truncated(self, light: SceneLight, order: int) -> Array:
+    def truncated(self, light: Light, order: int) -> Array:
         """(H, W, 3) image by the light's expansion to an order, unclamped."""
         return self.shade(light.coefficients(order).to_shading().evaluate(self.normal))
 
-    def complete(self, light: SceneLight) -> Array:
+    def complete(self, light: Light) -> Array:
         """(H, W, 3) image by all of the light, as if nothing shadowed anything.
 
         Lamps are exact. For a map the irradiance is summed over its texels for 64 x 128 normals and

@@ -15,7 +15,7 @@ from sfsnet_dr.experiments.validation.summary import Study, sentence
 from sfsnet_dr.experiments.validation.timing import cold_times, time_rung
 from sfsnet_dr.report.console import bar
 from sfsnet_dr.report.record import Record, write_records
-from sfsnet_dr.scene.lights.light import SceneLight
+from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.lights.presets import light_set
 from sfsnet_dr.scene.spec import load_scene
 from sfsnet_dr.scene.subject import Subject, build_subject, load_spec_by_name, validation_scenes
@@ -103,7 +103,7 @@ def validate_all(request: Request, out: Path | str, skipped: Callable[[str], Non
 
 def measure(
     subject: Subject,
-    lights: Sequence[SceneLight],
+    lights: Sequence[Light],
     renderers: Sequence[str] = (),
     *,
     samples: int | None = None,

@@ -33,7 +33,7 @@ import torch
 from sfsnet_dr.core.errors import RunError
 from sfsnet_dr.experiments.validation.models import Known, Rung, kernel_of, weights
 from sfsnet_dr.scene.jit import dr, mi
-from sfsnet_dr.scene.lights.light import SceneLight
+from sfsnet_dr.scene.lights.light import Light
 
 #: Bytes that the batch of images moves: more than the last cache of common processors holds.
 WORKING_SET: Final = 128 << 20
@@ -80,7 +80,7 @@ class RungTime:
     copy_share: float
 
 
-def time_rung(known: Known, rung: Rung, light: SceneLight) -> RungTime:
+def time_rung(known: Known, rung: Rung, light: Light) -> RungTime:
     """Measure one rung. The light matters to no time; projecting it onto harmonics is not counted."""
     function, inputs = kernel_of(rung), known.inputs(rung)
     batch = -(-WORKING_SET // (rung.bytes_per_pixel * known.mask.size))

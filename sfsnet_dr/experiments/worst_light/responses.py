@@ -19,7 +19,7 @@ import numpy.typing as npt
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.render.aovs import Capture, CaptureOptions, capture
 from sfsnet_dr.scene.lights.equirect import MAP_SIZE
-from sfsnet_dr.scene.lights.light import SceneLight
+from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.lights.sampling import LARGEST_ANGLE, sample_scene_light
 from sfsnet_dr.scene.lights.spec import LightSpec
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
@@ -274,7 +274,7 @@ def draw_prior(directions: Array, count: int, seed: int, spec: LightSpec = PRIOR
     return Prior(tuple(light.name for light in lights), np.array(weights))
 
 
-def gathered(light: SceneLight, directions: Array, nearest: npt.NDArray[np.intp]) -> Array:
+def gathered(light: Light, directions: Array, nearest: npt.NDArray[np.intp]) -> Array:
     """(N, 3) irradiance from each direction; all light of a map's texel comes from the nearest one.
 
     Args:

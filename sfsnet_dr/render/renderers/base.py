@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from sfsnet_dr.scene.lights.light import SceneLight
+from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.subject import Subject
 
 Image = npt.NDArray[np.floating]
@@ -58,7 +58,7 @@ class Renderer(Protocol):
     name: str
     capabilities: Capabilities
 
-    def render(self, subject: Subject, light: SceneLight, budget: Budget) -> Image:
+    def render(self, subject: Subject, light: Light, budget: Budget) -> Image:
         """An image (H, W, 3), float32 or float64, of the subject under the light.
 
         Linear Rec. 709 radiance under a box filter, row 0 at the top; 0 where the surface is not seen, and

@@ -8,7 +8,7 @@ from typing import Final
 
 from sfsnet_dr.render.path_tracer import path_trace
 from sfsnet_dr.render.renderers.base import Budget, Capabilities, Image
-from sfsnet_dr.scene.lights.light import SceneLight
+from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
 from sfsnet_dr.scene.subject import Subject
 
@@ -37,7 +37,7 @@ class MitsubaRenderer:
         self.name = name
         self.capabilities = Capabilities(visibility=True, bounces=bounces, gloss=True, noisy=True)
 
-    def render(self, subject: Subject, light: SceneLight, budget: Budget) -> Image:
+    def render(self, subject: Subject, light: Light, budget: Budget) -> Image:
         """An image (H, W, 3), float64.
 
         Raises:
@@ -48,7 +48,7 @@ class MitsubaRenderer:
         return path_trace(_lit(subject, light), budget.samples, budget.seed, depth).mean
 
 
-def _lit(subject: Subject, light: SceneLight) -> SurfaceScene:
+def _lit(subject: Subject, light: Light) -> SurfaceScene:
     scene = _with_surface(subject, light)
     if light.environment is not None:
         scene.set_environment(light.environment)
@@ -57,7 +57,7 @@ def _lit(subject: Subject, light: SceneLight) -> SurfaceScene:
     return scene
 
 
-def _with_surface(subject: Subject, light: SceneLight) -> SurfaceScene:
+def _with_surface(subject: Subject, light: Light) -> SurfaceScene:
     """A scene of the subject with room for the light: Mitsuba's scenes are exchanged, not built again."""
     mesh, camera, gloss = subject.mesh, subject.camera, subject.spec.has_gloss
     lit = light.environment is not None

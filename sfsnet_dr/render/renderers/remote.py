@@ -33,12 +33,12 @@ from sfsnet_dr.core.config import as_dict, build
 from sfsnet_dr.core.errors import InputError, NotInstalled, RunError
 from sfsnet_dr.core.worker_process import Child, ChildFailed
 from sfsnet_dr.render.renderers.base import Budget, Capabilities, Image
-from sfsnet_dr.scene.lights.light import SceneLight
+from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.mesh import Mesh
 from sfsnet_dr.scene.spec import CameraSpec, SceneSpec
 from sfsnet_dr.scene.subject import Subject
 
-T = TypeVar("T", Subject, SceneLight)
+T = TypeVar("T", Subject, Light)
 
 #: Version of the format.
 FORMAT: Final = 1
@@ -76,7 +76,7 @@ def read_subject(folder: Path) -> Subject:
     return Subject(spec, int(told["seed"]), mesh, camera)
 
 
-def write_light(folder: Path, light: SceneLight) -> None:
+def write_light(folder: Path, light: Light) -> None:
     """Write a light into an existing folder."""
     if light.environment is not None:
         np.save(folder / "environment.npy", light.environment, allow_pickle=False)
@@ -85,7 +85,7 @@ def write_light(folder: Path, light: SceneLight) -> None:
     (folder / "light.json").write_text(json.dumps(told), encoding="utf-8")
 
 
-def read_light(folder: Path) -> SceneLight:
+def read_light(folder: Path) -> Light:
     """The light of a folder, equal to the one written.
 
     Raises:
@@ -94,7 +94,7 @@ def read_light(folder: Path) -> SceneLight:
     told, path = _read(folder / "light.json"), folder / "environment.npy"
     environment = np.load(path, allow_pickle=False) if path.exists() else None
     lamps = tuple((np.array(toward), np.array(power)) for toward, power in told["directional"])
-    return SceneLight(told["name"], environment, lamps)
+    return Light(told["name"], environment, lamps)
 
 
 def _written(write: Callable[[Path, T], None]) -> Callable[[T], Path]:
@@ -153,7 +153,7 @@ class RemoteRenderer:
         self.name, self.capabilities = name, capabilities
         self._command = command
 
-    def render(self, subject: Subject, light: SceneLight, budget: Budget) -> Image:
+    def render(self, subject: Subject, light: Light, budget: Budget) -> Image:
         """An image (H, W, 3), float32.
 
         Raises:

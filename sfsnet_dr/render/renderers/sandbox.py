@@ -27,7 +27,7 @@ from sfsnet_dr.render.renderers.remote import (
     read_subject,
     subject_folder,
 )
-from sfsnet_dr.scene.lights.light import SceneLight
+from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.subject import Subject
 
 #: Seconds that one image may take, the start of the process included.
@@ -75,7 +75,7 @@ _children: dict[str, Child] = {}
 
 
 def run_guarded(
-    name: str, subject: Subject, light: SceneLight, budget: Budget, time_limit: float = TIME_LIMIT
+    name: str, subject: Subject, light: Light, budget: Budget, time_limit: float = TIME_LIMIT
 ) -> Outcome:
     """Render with a renderer that may fail in any way.
 
@@ -108,7 +108,7 @@ def refusal(image: Any, size: int) -> str | None:
     return f"{wrong} of {image.size} values are NaN or inf, finite ones expected" if wrong else None
 
 
-def _here(name: str, subject: Subject, light: SceneLight, budget: Budget) -> Outcome:
+def _here(name: str, subject: Subject, light: Light, budget: Budget) -> Outcome:
     begin, capabilities = time.perf_counter(), None
     try:
         renderer = find_renderer(name)
@@ -124,7 +124,7 @@ def _here(name: str, subject: Subject, light: SceneLight, budget: Budget) -> Out
     return Outcome(name, None if failure else image, seconds, capabilities, failure)
 
 
-def _apart(name: str, subject: Subject, light: SceneLight, budget: Budget, time_limit: float) -> Outcome:
+def _apart(name: str, subject: Subject, light: Light, budget: Budget, time_limit: float) -> Outcome:
     begin = time.perf_counter()
 
     def failed(kind: Kind, detail: str, capabilities: Capabilities | None = None) -> Outcome:

@@ -24,7 +24,7 @@ from sfsnet_dr.render import shading_drjit, shading_numpy, shading_torch
 from sfsnet_dr.render.aovs import CaptureOptions, capture
 from sfsnet_dr.render.renderers.base import Budget, Capabilities, Image
 from sfsnet_dr.scene.jit import dr, mi, upload
-from sfsnet_dr.scene.lights.light import MAP_ORDER, SceneLight
+from sfsnet_dr.scene.lights.light import MAP_ORDER, Light
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
 from sfsnet_dr.scene.subject import Subject
 from sfsnet_dr.sh.coefficients import Radiance
@@ -89,7 +89,7 @@ def bounced_transport(subject: Subject, seed: int = 0) -> Planes:
 
 
 @once
-def radiance(light: SceneLight) -> Radiance:
+def radiance(light: Light) -> Radiance:
     """All the light's radiance coefficients of order 4, directional lights smeared into them."""
     return light.coefficients(TRANSPORT_ORDER)
 
@@ -123,7 +123,7 @@ class ShadingRenderer:
         self.capabilities = Capabilities(visibility=False, order=order)
         self._form, self._order = _SHADING[backend], order
 
-    def render(self, subject: Subject, light: SceneLight, budget: Budget) -> Image:
+    def render(self, subject: Subject, light: Light, budget: Budget) -> Image:
         """An image (H, W, 3): float64 by NumPy, else float32."""
         maps = surface_maps(subject, budget.seed)
         shading = radiance(light).truncate(self._order).to_shading().flat()[None]
@@ -145,7 +145,7 @@ class TransportRenderer:
         self._answers, self._weigh = _TRANSPORT[backend][kind], _WEIGH[backend]
         self._order = order
 
-    def render(self, subject: Subject, light: SceneLight, budget: Budget) -> Image:
+    def render(self, subject: Subject, light: Light, budget: Budget) -> Image:
         """An image (H, W, 3): float64 by NumPy, float32 by Dr.Jit."""
         return self._weigh(self._answers(subject, budget.seed), radiance(light).truncate(self._order).values)
 

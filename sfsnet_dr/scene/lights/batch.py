@@ -105,7 +105,7 @@ def _snapped(
 
 
 def _softened(toward: Array, power: Array) -> Array:
-    """Coefficients (B, 25, 3) of lamps (B, M, 3) as by thin cloud (``SceneLight.softened``)."""
+    """Coefficients (B, 25, 3) of lamps (B, M, 3) as by thin cloud (``Light.softened``)."""
     basis = sh_basis(toward, MAP_ORDER) * lobe_bands(SOFT, MAP_ORDER)
     return np.asarray(np.einsum("bmk,bmc->bkc", basis, power))
 
@@ -113,7 +113,7 @@ def _softened(toward: Array, power: Array) -> Array:
 def _as_a_camera(
     rng: np.random.Generator, radiance: Array, irradiance: Array, directions: Array, spec: LightSpec
 ) -> Lighting:
-    """White balance and exposure, as ``SceneLight.balanced`` and ``exposed`` do."""
+    """White balance and exposure, as ``Light.balanced`` and ``exposed`` do."""
     strength = rng.uniform(*spec.white_balance, (len(radiance), 1))
     low, high = np.log(spec.exposure)
     exposure = np.exp(rng.uniform(low, high, (len(radiance), 1)))
@@ -128,7 +128,7 @@ def _as_a_camera(
 
 
 def _face_shading(radiance: Array, irradiance: Array, directions: Array) -> Array:
-    """``SceneLight.face_shading`` of each light, (B, 3)."""
+    """``Light.face_shading`` of each light, (B, 3)."""
     normals, responses = face_normals(), _face_responses()
     soft = np.maximum(np.einsum("nk,bkc->bnc", responses, radiance), 0.0).mean(axis=1)
     facing = np.maximum(directions @ normals.T, 0.0).mean(axis=-1) / np.pi

@@ -25,7 +25,7 @@ from sfsnet_dr.core.errors import check_shape
 from sfsnet_dr.core.files import atomic_path
 from sfsnet_dr.core.provenance import sha256
 from sfsnet_dr.scene.lights.environment_map import MOST, list_maps
-from sfsnet_dr.scene.lights.light import MAP_ORDER, SceneLight
+from sfsnet_dr.scene.lights.light import MAP_ORDER, Light
 from sfsnet_dr.scene.lights.photo_prior import FITTED, read_mixture
 from sfsnet_dr.scene.lights.sampling import draw
 from sfsnet_dr.scene.lights.spec import LightSpec
@@ -78,7 +78,7 @@ def draw_bank(
     weights = spec.weights()
     kinds, shares = list(weights), np.array(list(weights.values()))
 
-    def light(number: int) -> tuple[SceneLight, bool]:
+    def light(number: int) -> tuple[Light, bool]:
         rng = np.random.default_rng([seed, _STREAM, number])
         kind = kinds[rng.choice(len(kinds), p=shares / shares.sum())]
         drawn = draw(kind, rng, spec)
@@ -89,7 +89,7 @@ def draw_bank(
     return bank_of((light(n) for n in range(count)), bank_fingerprint(spec, count, seed))
 
 
-def bank_of(lights: Iterable[tuple[SceneLight, bool]], fingerprint: str = "") -> LightBank:
+def bank_of(lights: Iterable[tuple[Light, bool]], fingerprint: str = "") -> LightBank:
     """A bank of given lights, each with whether its lamps may come from anywhere."""
     rows = [(*_compact(light), free) for light, free in lights]
     radiance, toward, power, free = (np.array(column) for column in zip(*rows, strict=True))
@@ -141,7 +141,7 @@ def _read(path: Path) -> LightBank | None:
         return None
 
 
-def _compact(light: SceneLight) -> tuple[Array, Array, Array]:
+def _compact(light: Light) -> tuple[Array, Array, Array]:
     toward, power = np.zeros((MOST, 3)), np.zeros((MOST, 3))
     for k, lamp in enumerate(light.directional):
         toward[k], power[k] = lamp

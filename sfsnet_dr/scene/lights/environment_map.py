@@ -8,7 +8,7 @@ and its hard shadows with it. So what is hot and compact is split off:
     strong   its excess over the threshold is at least 3 % of all light; at most the 4 strongest are taken.
 
 Only the excess leaves the map: pixels of a group stay at the threshold. The rest of the map is a sky, windows
-and walls, for which ``SceneLight.coefficients`` of order 4 is honest.
+and walls, for which ``Light.coefficients`` of order 4 is honest.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from sfsnet_dr.core.color import LUMINANCE
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.core.image_io import read_image
 from sfsnet_dr.scene.lights.equirect import pixel_directions, pixel_solid_angles, resample
-from sfsnet_dr.scene.lights.light import DirectionalLight, SceneLight
+from sfsnet_dr.scene.lights.light import DirectionalLight, Light
 
 Array = npt.NDArray[np.float64]
 
@@ -54,7 +54,7 @@ def list_maps(folder: Path | str) -> tuple[Path, ...]:
     return found
 
 
-def load_environment(path: Path | str) -> SceneLight:
+def load_environment(path: Path | str) -> Light:
     """Read an environment map.
 
     Args:
@@ -77,7 +77,7 @@ def load_environment(path: Path | str) -> SceneLight:
 
 
 @lru_cache(maxsize=64)
-def _load(path: Path, changed: int) -> SceneLight:
+def _load(path: Path, changed: int) -> Light:
     image = read_image(path, channels=3)
     height, width, _ = image.pixels.shape
     if image.was_srgb:
@@ -95,7 +95,7 @@ def _load(path: Path, changed: int) -> SceneLight:
     rest, lamps = split_lamps(pixels)
     environment = resample(rest)
     environment.setflags(write=False)  # it is kept and shared
-    return SceneLight(path.stem, environment, lamps)
+    return Light(path.stem, environment, lamps)
 
 
 def split_lamps(picture: Array) -> tuple[Array, tuple[DirectionalLight, ...]]:

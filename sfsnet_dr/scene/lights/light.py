@@ -38,7 +38,7 @@ MAP_ORDER = 4
 
 
 @dataclass(frozen=True, eq=False)
-class SceneLight:
+class Light:
     """Everything that lights a scene.
 
     Attributes:
@@ -106,17 +106,17 @@ class SceneLight:
         """
         return np.asarray(self.shading(face_normals()).mean(axis=0))
 
-    def scaled(self, factor: float | Array) -> SceneLight:
+    def scaled(self, factor: float | Array) -> Light:
         """Brighter or darker, by one factor or one for each colour (3,), at least 0."""
         environment = None if self.environment is None else self.environment * factor
         directional = tuple((toward, power * factor) for toward, power in self.directional)
         return replace(self, environment=environment, directional=directional)
 
-    def exposed(self, level: float) -> SceneLight:
+    def exposed(self, level: float) -> Light:
         """The same light with a mean shading on faces (luminance of ``face_shading``) of ``level``."""
         return self.scaled(level / self._metered(self.face_shading() @ LUMINANCE))
 
-    def balanced(self, strength: float) -> SceneLight:
+    def balanced(self, strength: float) -> Light:
         """White-balanced as a camera does: the mean shading turns grey, at strength 1 fully, at 0 not at all.
 
         Luminance of ``face_shading`` stays. No channel is multiplied by more than 4, as in real cameras.
@@ -126,7 +126,7 @@ class SceneLight:
         gain = np.minimum(level / np.maximum(mean, level / 4), 4.0) ** strength
         return self.scaled(gain * (level / float((mean * gain) @ LUMINANCE)))
 
-    def softened(self, directions: Array) -> SceneLight:
+    def softened(self, directions: Array) -> Light:
         """The same light with hard lights from other than given directions made soft, as by thin cloud.
 
         Each becomes a lobe of the map (``sh.priors.Lobe``), the power kept. Coefficients of order 4 hold such
@@ -145,7 +145,7 @@ class SceneLight:
         environment = environment + sum(Lobe(toward, SOFT, power).radiance(texels) for toward, power in soft)
         return replace(self, environment=environment, directional=hard)
 
-    def turned(self, rotation: Array) -> SceneLight:
+    def turned(self, rotation: Array) -> Light:
         """All light turned by a rotation (3, 3)."""
         environment = None if self.environment is None else turn_map(self.environment, rotation)
         directional = tuple((_unit(rotation @ toward), power) for toward, power in self.directional)

@@ -27,7 +27,7 @@ from sfsnet_dr.core.conventions import LIGHT_ORDER, LIGHT_SIZE
 from sfsnet_dr.core.errors import InputError, check_shape
 from sfsnet_dr.core.files import write_text
 from sfsnet_dr.scene.lights.equirect import MAP_SIZE
-from sfsnet_dr.scene.lights.light import SceneLight
+from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.lights.vmf_lobes import Lobe, lobe_bands
 from sfsnet_dr.sh.basis import sh_basis
 from sfsnet_dr.sh.icosphere import icosphere
@@ -164,7 +164,7 @@ _SHARPNESS: Final = 12.0
 _EVEN: Final = 1e-3
 
 
-def draw_fitted(rng: np.random.Generator, mixture: str | None = None) -> SceneLight:
+def draw_fitted(rng: np.random.Generator, mixture: str | None = None) -> Light:
     """A light of the mixture in a file, the package's own if none is given.
 
     Raises:
@@ -173,9 +173,9 @@ def draw_fitted(rng: np.random.Generator, mixture: str | None = None) -> SceneLi
     return possible_light(_mixture(Path(mixture) if mixture else FITTED).sample(rng))
 
 
-def possible_light(shading: Array) -> SceneLight:
+def possible_light(shading: Array) -> Light:
     """The light without negative parts that shades visible normals most like shading coefficients (27,)."""
-    return SceneLight("fitted", (_maps() @ lobe_powers(shading)).reshape(*MAP_SIZE, 3))
+    return Light("fitted", (_maps() @ lobe_powers(shading)).reshape(*MAP_SIZE, 3))
 
 
 def lobe_powers(shading: Array) -> Array:

@@ -1,6 +1,6 @@
 """The lights that renderers are judged under, by name: from what order 2 renders exactly to what it cannot.
 
-Every light is exposed alike (``SceneLight.exposed``), so that errors in 8-bit units compare. Names are
+Every light is exposed alike (``Light.exposed``), so that errors in 8-bit units compare. Names are
 stable: records carry them.
 """
 
@@ -19,13 +19,13 @@ from sfsnet_dr.core.errors import InputError, nearest
 from sfsnet_dr.scene.lights.area_lights import Panel, studio
 from sfsnet_dr.scene.lights.environment_map import list_maps, load_environment
 from sfsnet_dr.scene.lights.equirect import MAP_SIZE
-from sfsnet_dr.scene.lights.light import SceneLight, heading
+from sfsnet_dr.scene.lights.light import Light, heading
 from sfsnet_dr.scene.lights.vmf_lobes import sample_lights
 from sfsnet_dr.sh.projection import equirect_directions
 
 Array = npt.NDArray[np.float64]
 
-#: Mean shading of a face (``SceneLight.face_shading``, luminance). Skin is then middle grey, and no white
+#: Mean shading of a face (``Light.face_shading``, luminance). Skin is then middle grey, and no white
 #: clips under any light but the hardest from the side.
 EXPOSURE: Final = 0.5
 
@@ -36,10 +36,10 @@ _WHITE = np.ones(3)
 _ANGLES = (0, 30, 60, 85)
 _NATURAL, _NATURAL_SEED = 3, 20
 
-_Maker = Callable[[], SceneLight]
+_Maker = Callable[[], Light]
 
 
-def light_set(names: str, environments: Path | str | None = None) -> list[SceneLight]:
+def light_set(names: str, environments: Path | str | None = None) -> list[Light]:
     """Lights by names.
 
     Args:
@@ -83,7 +83,7 @@ def light_sets(environments: Path | str | None = None) -> dict[str, tuple[str, .
     }
 
 
-def require_light(light: SceneLight) -> SceneLight:
+def require_light(light: Light) -> Light:
     """The light itself, if it is one.
 
     Raises:
@@ -99,7 +99,7 @@ def require_light(light: SceneLight) -> SceneLight:
     return light
 
 
-def describe(light: SceneLight) -> str:
+def describe(light: Light) -> str:
     """What a light of a set is, in a few words; for others, what they are made of."""
     word = light.name.rstrip("0123456789")
     number = light.name[len(word) :]
@@ -117,12 +117,12 @@ def describe(light: SceneLight) -> str:
     return known.get(word, " and ".join(made_of))
 
 
-def constant() -> SceneLight:
+def constant() -> Light:
     """The same radiance from everywhere: order 0 holds all of it."""
-    return SceneLight("constant", np.ones((*MAP_SIZE, 3))).exposed(EXPOSURE)
+    return Light("constant", np.ones((*MAP_SIZE, 3))).exposed(EXPOSURE)
 
 
-def band(number: int) -> SceneLight:
+def band(number: int) -> Light:
     """A constant and one harmonic of a band, as strong as it can be without negative light.
 
     The harmonic is the zonal one about the upper right, 45 degrees from the viewer.
@@ -130,44 +130,44 @@ def band(number: int) -> SceneLight:
     legendre = np.polynomial.Legendre.basis(number)
     lowest = float(legendre(np.linspace(-1, 1, 20001)).min())
     values = np.maximum(1.0 - legendre(equirect_directions(*MAP_SIZE) @ _OBLIQUE) / lowest, 0.0)
-    return SceneLight(f"band{number}", np.repeat(values[..., None], 3, axis=-1)).exposed(EXPOSURE)
+    return Light(f"band{number}", np.repeat(values[..., None], 3, axis=-1)).exposed(EXPOSURE)
 
 
-def natural(number: int) -> SceneLight:
+def natural(number: int) -> Light:
     """A dome with soft lobes of the light prior (``sh.priors``), the same as in the demo."""
     lights = sample_lights(np.random.default_rng(_NATURAL_SEED), _NATURAL)
-    return SceneLight(f"natural{number}", lights[number].equirect(*MAP_SIZE)).exposed(EXPOSURE)
+    return Light(f"natural{number}", lights[number].equirect(*MAP_SIZE)).exposed(EXPOSURE)
 
 
-def studio_light() -> SceneLight:
+def studio_light() -> Light:
     """A key panel from the upper right, a weaker fill from the left and a rim light, in a dim room."""
     panels = (
         _panel(heading(40, 30), (20.0, 20.0), 10.0 * _WHITE),
         _panel(heading(-50, 5), (30.0, 30.0), 1.5 * np.array([0.9, 1.0, 1.15])),
         _panel(heading(150, 25), (12.0, 30.0), 12.0 * np.array([1.1, 1.0, 0.85])),
     )
-    return SceneLight("studio", studio(panels, np.full(3, 0.08), np.full(3, 0.05))).exposed(EXPOSURE)
+    return Light("studio", studio(panels, np.full(3, 0.08), np.full(3, 0.05))).exposed(EXPOSURE)
 
 
-def directional(angle: float) -> SceneLight:
+def directional(angle: float) -> Light:
     """One white lamp, ``angle`` degrees from the viewer's direction toward the upper right."""
     toward = np.cos(np.radians(angle)) * np.array([0.0, 0.0, 1.0]) + np.sin(np.radians(angle)) * _ASIDE
-    return SceneLight(f"directional{angle:g}", None, ((toward, np.pi * _WHITE),)).exposed(EXPOSURE)
+    return Light(f"directional{angle:g}", None, ((toward, np.pi * _WHITE),)).exposed(EXPOSURE)
 
 
-def two_colours() -> SceneLight:
+def two_colours() -> Light:
     """A warm lamp from the left and a cool one from the upper right, both hard."""
     warm, cool = np.array([1.0, 0.45, 0.15]), np.array([0.2, 0.5, 1.0])
     lamps = ((heading(-50, 10), np.pi * warm), (heading(40, 35), np.pi * cool))
-    return SceneLight("two_colours", None, lamps).exposed(EXPOSURE)
+    return Light("two_colours", None, lamps).exposed(EXPOSURE)
 
 
-def sun_and_sky(name: str, sunshine: float) -> SceneLight:
+def sun_and_sky(name: str, sunshine: float) -> Light:
     """The sun 40 degrees high at the upper right, or the same sky behind clouds, over grey ground."""
     from sfsnet_dr.scene.lights.sun_sky import sun_sky
 
     light = sun_sky(heading(35, 40), 3.0, np.full(3, 0.25), sunshine)
-    return SceneLight(name, light.environment, light.directional).balanced(1.0).exposed(EXPOSURE)
+    return Light(name, light.environment, light.directional).balanced(1.0).exposed(EXPOSURE)
 
 
 @cache
@@ -190,9 +190,9 @@ def _from_files(folder: Path | str) -> dict[str, _Maker]:
     return {name: partial(_map, name, path) for name, path in zip(names, paths, strict=True)}
 
 
-def _map(name: str, path: Path) -> SceneLight:
+def _map(name: str, path: Path) -> Light:
     light = load_environment(path)
-    return SceneLight(name, light.environment, light.directional).exposed(EXPOSURE)
+    return Light(name, light.environment, light.directional).exposed(EXPOSURE)
 
 
 def _panel(direction: Array, half_size: tuple[float, float], radiance: Array) -> Panel:

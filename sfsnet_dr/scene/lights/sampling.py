@@ -16,7 +16,7 @@ from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.scene.lights.area_lights import Panel, studio
 from sfsnet_dr.scene.lights.environment_map import list_maps, load_environment
 from sfsnet_dr.scene.lights.equirect import MAP_SIZE
-from sfsnet_dr.scene.lights.light import SceneLight, heading, rotation_about
+from sfsnet_dr.scene.lights.light import Light, heading, rotation_about
 from sfsnet_dr.scene.lights.photo_prior import draw_fitted
 from sfsnet_dr.scene.lights.spec import LightKind, LightSpec
 from sfsnet_dr.scene.lights.vmf_lobes import sample_lights
@@ -37,19 +37,17 @@ _GROUNDS = np.array(
 )
 
 
-def sample_scene_light(
-    rng: np.random.Generator, spec: LightSpec, directions: Array | None = None
-) -> SceneLight:
+def sample_scene_light(rng: np.random.Generator, spec: LightSpec, directions: Array | None = None) -> Light:
     """Draw one light.
 
     Args:
         rng: the only source of randomness.
         spec: kinds and their weights, the folder of environment maps, exposure and white balance.
         directions: (D, 3) unit vectors from which hard light may come: what comes from elsewhere is made soft
-            (``SceneLight.softened``). None allows any.
+            (``Light.softened``). None allows any.
 
     Returns:
-        A light whose mean shading on faces (``SceneLight.face_shading``) lies within ``spec.exposure``.
+        A light whose mean shading on faces (``Light.face_shading``) lies within ``spec.exposure``.
 
     Raises:
         InputError: for a folder without maps or a damaged one.
@@ -65,7 +63,7 @@ def sample_scene_light(
 
 def draw(
     kind: LightKind, rng: np.random.Generator, spec: LightSpec, directions: Array | None = None
-) -> SceneLight:
+) -> Light:
     """A light of one kind, neither exposed nor balanced; arguments as of ``sample_scene_light``."""
     if kind == "hdr":
         return _map_from_file(rng, spec, directions)
@@ -74,12 +72,12 @@ def draw(
     if kind == "studio":
         return _studio(rng)
     if kind == "lobes":
-        return SceneLight("lobes", sample_lights(rng, 1)[0].equirect(*MAP_SIZE))
+        return Light("lobes", sample_lights(rng, 1)[0].equirect(*MAP_SIZE))
     if kind == "fitted":
         return draw_fitted(rng, spec.mixture)
     if kind == "directional":
         return _lamps(rng, directions)
-    return SceneLight("ambient", _dome(rng, 1.0))
+    return Light("ambient", _dome(rng, 1.0))
 
 
 def sample_direction(rng: np.random.Generator, largest: float = LARGEST_ANGLE) -> Array:
@@ -97,7 +95,7 @@ def turn_to(toward: Array, target: Array) -> Array:
     return rotation_about(sideways, heights[0] - heights[1]) @ rotation_about(_UP, azimuths[1] - azimuths[0])
 
 
-def _map_from_file(rng: np.random.Generator, spec: LightSpec, directions: Array | None) -> SceneLight:
+def _map_from_file(rng: np.random.Generator, spec: LightSpec, directions: Array | None) -> Light:
     if spec.environments is None:
         raise InputError("light: environments: no folder found, lights of kind 'hdr' need one with maps")
     maps = list_maps(spec.environments)
@@ -114,7 +112,7 @@ def _map_from_file(rng: np.random.Generator, spec: LightSpec, directions: Array 
     return light.turned(turn_to(sun, directions[rng.choice(fitting)]))
 
 
-def _daylight(rng: np.random.Generator, directions: Array | None) -> SceneLight:
+def _daylight(rng: np.random.Generator, directions: Array | None) -> Light:
     """Sun and sky: the sun free, dimmed by thin cloud, or hidden."""
     from sfsnet_dr.scene.lights.sun_sky import ELEVATION, sun_sky
 
@@ -130,7 +128,7 @@ def _daylight(rng: np.random.Generator, directions: Array | None) -> SceneLight:
     return sun_sky(sun, float(1 + 9 * rng.beta(1.5, 3.0)), ground, sunshine)
 
 
-def _studio(rng: np.random.Generator) -> SceneLight:
+def _studio(rng: np.random.Generator) -> Light:
     """A key panel in front, perhaps a fill, a rim light behind and a hair light above, in a dim room."""
     side = rng.choice([-1.0, 1.0])
     key_tint = _tint(rng)
@@ -146,7 +144,7 @@ def _studio(rng: np.random.Generator) -> SceneLight:
     if rng.random() < 0.2:
         panels.append(_panel(rng, heading(rng.uniform(-180, 180), 80), rng.uniform(0.2, 0.8), _tint(rng)))
     walls = _tint(rng) * rng.uniform(0.01, 0.15)
-    return SceneLight("studio", studio(tuple(panels), walls, walls * rng.uniform(0.2, 1.5)))
+    return Light("studio", studio(tuple(panels), walls, walls * rng.uniform(0.2, 1.5)))
 
 
 def _panel(rng: np.random.Generator, direction: Array, share: float, tint: Array) -> Panel:
@@ -165,7 +163,7 @@ def _panel(rng: np.random.Generator, direction: Array, share: float, tint: Array
     )
 
 
-def _lamps(rng: np.random.Generator, directions: Array | None) -> SceneLight:
+def _lamps(rng: np.random.Generator, directions: Array | None) -> Light:
     """One to three lamps, each weaker than the one before, over a dim dome."""
     count = int(rng.choice([1, 2, 3], p=[0.6, 0.25, 0.15]))
     if directions is None:
@@ -174,7 +172,7 @@ def _lamps(rng: np.random.Generator, directions: Array | None) -> SceneLight:
         toward = list(directions[rng.permutation(len(directions))[:count]])
     powers = np.pi * np.cumprod([1.0, *rng.uniform(0.2, 0.8, len(toward) - 1)])
     lamps = tuple((d, power * _tint(rng)) for d, power in zip(toward, powers, strict=True))
-    return SceneLight("directional", _dome(rng, float(np.exp(rng.uniform(*np.log([0.02, 0.4]))))), lamps)
+    return Light("directional", _dome(rng, float(np.exp(rng.uniform(*np.log([0.02, 0.4]))))), lamps)
 
 
 def _dome(rng: np.random.Generator, level: float) -> Array:

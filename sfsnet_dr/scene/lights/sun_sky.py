@@ -15,7 +15,7 @@ from sfsnet_dr.core.color import LUMINANCE
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.scene.jit import dr, mi
 from sfsnet_dr.scene.lights.equirect import MAP_SIZE
-from sfsnet_dr.scene.lights.light import SceneLight
+from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.sh.projection import equirect_directions, equirect_solid_angles
 
 Array = npt.NDArray[np.float64]
@@ -27,7 +27,7 @@ TURBIDITY = (1.0, 10.0)
 _SUN_DEGREES = 0.5358  # diameter of the sun's disc
 
 
-def sun_sky(direction: Array, turbidity: float, ground: Array, sunshine: float = 1.0) -> SceneLight:
+def sun_sky(direction: Array, turbidity: float, ground: Array, sunshine: float = 1.0) -> Light:
     """Light under a clear or hazy sky.
 
     Args:
@@ -63,7 +63,7 @@ def sun_sky(direction: Array, turbidity: float, ground: Array, sunshine: float =
     above = equirect_solid_angles(*MAP_SIZE) * np.maximum(height, 0.0)
     arriving = np.einsum("hw,hwc->c", above, sky) + sun * direction[1]
     environment = np.where(height[..., None] > 0, sky, ground * arriving / np.pi)
-    return SceneLight("sun_sky", environment, ((direction, sun),) if sunshine > 0 else ())
+    return Light("sun_sky", environment, ((direction, sun),) if sunshine > 0 else ())
 
 
 def _evaluate(part: str, directions: Array, sun: Array, turbidity: float, ground: float) -> Array:

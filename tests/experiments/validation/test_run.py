@@ -23,7 +23,7 @@ from sfsnet_dr.experiments.validation.summary import Study, candidates, cheapest
 from sfsnet_dr.metrics.image import has_flip
 from sfsnet_dr.report.record import read_records
 from sfsnet_dr.scene.lights.equirect import MAP_SIZE
-from sfsnet_dr.scene.lights.light import SceneLight
+from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.lights.presets import light_set
 from sfsnet_dr.scene.mesh import moved
 from sfsnet_dr.scene.spec import CameraSpec, SamplingSpec, SceneSpec
@@ -199,7 +199,7 @@ def test_nothing_in_view_and_no_light_are_answered() -> None:
     with pytest.raises(InputError, match="ball: no surface in view"):
         climb(away, light_set("constant"))
     with pytest.raises(InputError, match="light 'night': all zeros"):
-        climb(ball, [SceneLight("night", np.zeros((*MAP_SIZE, 3)))])
+        climb(ball, [Light("night", np.zeros((*MAP_SIZE, 3)))])
     with pytest.raises(InputError, match="lights: none found"):
         climb(ball, [])
     assert chosen_renderers("none") == ()

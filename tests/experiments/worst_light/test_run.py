@@ -31,7 +31,7 @@ from sfsnet_dr.experiments.worst_light.search import relative_errors, worst_sign
 from sfsnet_dr.metrics.noise_free import bias_squared, relative_rmse
 from sfsnet_dr.report.record import read_records
 from sfsnet_dr.scene.lights.equirect import MAP_SIZE
-from sfsnet_dr.scene.lights.light import SceneLight
+from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.mesh import sphere
 from sfsnet_dr.scene.spec import CameraSpec, SamplingSpec, SceneSpec
 from sfsnet_dr.scene.subject import Subject
@@ -168,7 +168,7 @@ def test_lights_are_gathered_whole() -> None:
     nearest = nearest_direction(equirect_directions(*MAP_SIZE), directions)
     sky = np.ones((*MAP_SIZE, 3)) * [1.0, 2.0, 3.0]
     lamp = (directions[5], np.array([7.0, 0.0, 1.0]))
-    weights = gathered(SceneLight("both", sky, (lamp,)), directions, nearest)
+    weights = gathered(Light("both", sky, (lamp,)), directions, nearest)
     np.testing.assert_allclose(weights.sum(axis=0), 4 * np.pi * np.array([1.0, 2.0, 3.0]) + lamp[1])
     assert weights[5, 0] - weights[6, 0] > 6.9
     prior = draw_prior(directions, 30, 0)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sfsnet_dr.render.renderers.base import Budget, Capabilities
-from sfsnet_dr.scene.lights.light import SceneLight
+from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.subject import Subject
 
 Image = NDArray[np.floating]
@@ -22,7 +22,7 @@ class Lambert:
     name = "foreign-lambert"
     capabilities = Capabilities(visibility=True)
 
-    def render(self, subject: Subject, light: SceneLight, budget: Budget) -> Image:
+    def render(self, subject: Subject, light: Light, budget: Budget) -> Image:
         size, distance = subject.camera.size, subject.camera.distance
         radius = float(np.linalg.norm(subject.mesh.vertices[0]))
         across = (np.arange(size) + 0.5) / size * 2 - 1
@@ -47,39 +47,39 @@ class _Plain:
 
 
 class Raises(_Plain):
-    def render(self, subject: Subject, light: SceneLight, budget: Budget) -> Image:
+    def render(self, subject: Subject, light: Light, budget: Budget) -> Image:
         raise ValueError(f"first line\nno idea of {subject.spec.name}")
 
 
 class Hangs(_Plain):
-    def render(self, subject: Subject, light: SceneLight, budget: Budget) -> Image:
+    def render(self, subject: Subject, light: Light, budget: Budget) -> Image:
         while True:
             time.sleep(60)
 
 
 class Exits(_Plain):
-    def render(self, subject: Subject, light: SceneLight, budget: Budget) -> Image:
+    def render(self, subject: Subject, light: Light, budget: Budget) -> Image:
         print("this library is too old", flush=True)
         os.abort()
 
 
 class WrongShape(_Plain):
-    def render(self, subject: Subject, light: SceneLight, budget: Budget) -> Image:
+    def render(self, subject: Subject, light: Light, budget: Budget) -> Image:
         return np.zeros((3, subject.camera.size, subject.camera.size))
 
 
 class NotANumber(_Plain):
-    def render(self, subject: Subject, light: SceneLight, budget: Budget) -> Image:
+    def render(self, subject: Subject, light: Light, budget: Budget) -> Image:
         image = np.zeros((subject.camera.size, subject.camera.size, 3))
         image[0, 0, 0] = np.nan
         return image
 
 
 class Integers(_Plain):
-    def render(self, subject: Subject, light: SceneLight, budget: Budget) -> Any:
+    def render(self, subject: Subject, light: Light, budget: Budget) -> Any:
         return np.zeros((subject.camera.size, subject.camera.size, 3), dtype=np.uint8)
 
 
 class Lists(_Plain):
-    def render(self, subject: Subject, light: SceneLight, budget: Budget) -> Any:
+    def render(self, subject: Subject, light: Light, budget: Budget) -> Any:
         return [[[0.0, 0.0, 0.0]]]

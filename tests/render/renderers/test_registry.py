@@ -13,7 +13,7 @@ from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.render.renderers.base import Budget, Image
 from sfsnet_dr.render.renderers.registry import find_renderer, is_built_in, renderers
 from sfsnet_dr.render.renderers.sh import surface_maps
-from sfsnet_dr.scene.lights.light import SceneLight, heading
+from sfsnet_dr.scene.lights.light import Light, heading
 from sfsnet_dr.scene.spec import CameraSpec, HeadSpec, SamplingSpec, SceneSpec
 from sfsnet_dr.scene.subject import Subject, build_subject
 from sfsnet_dr.sh.kernel import clamped_cosine
@@ -39,15 +39,13 @@ def head() -> Subject:
     return build_subject(HEAD, seed=3)
 
 
-def sunny() -> SceneLight:
+def sunny() -> Light:
     """A sky that is bluer above, and a sun from the upper right."""
     up = equirect_directions(64, 128)[..., 1:2]
-    return SceneLight(
-        "sunny", 0.3 + 0.2 * up * [0.5, 0.8, 1.0], ((heading(35, 40), np.array([2.0, 1.8, 1.4])),)
-    )
+    return Light("sunny", 0.3 + 0.2 * up * [0.5, 0.8, 1.0], ((heading(35, 40), np.array([2.0, 1.8, 1.4])),))
 
 
-def render(name: str, subject: Subject, light: SceneLight, budget: Budget = BUDGET) -> Image:
+def render(name: str, subject: Subject, light: Light, budget: Budget = BUDGET) -> Image:
     return find_renderer(name).render(subject, light, budget)
 
 
@@ -79,13 +77,13 @@ def test_shading_of_a_directional_light_is_the_truncated_cosine(sphere: Subject)
     for order in range(5):
         bands = (2 * np.arange(order + 1) + 1) / (4 * np.pi) * clamped_cosine(order) / np.pi
         shading = np.polynomial.legendre.legval(cosine, bands)[..., None] * power
-        image = render(f"numpy-order{order}", sphere, SceneLight("lamp", None, ((toward, power),)))
+        image = render(f"numpy-order{order}", sphere, Light("lamp", None, ((toward, power),)))
         covered = np.moveaxis(maps.albedo[0], 0, -1)
         np.testing.assert_allclose(image, covered * shading, atol=1e-6)  # the maps are float32
 
 
 def test_a_ball_in_uniform_light_shows_its_albedo_and_its_share_of_the_silhouette(sphere: Subject) -> None:
-    light = SceneLight("uniform", np.ones((64, 128, 3)))
+    light = Light("uniform", np.ones((64, 128, 3)))
     traced = render("mitsuba-llvm-direct", sphere, light, Budget(samples=256))
     names = [name for name in renderers() if name.startswith("numpy-")]
     assert len(names) == 9
@@ -99,7 +97,7 @@ def test_a_ball_in_uniform_light_shows_its_albedo_and_its_share_of_the_silhouett
 
 
 def test_visibility_darkens_and_a_bounce_brightens_a_head(head: Subject) -> None:
-    light = SceneLight("uniform", np.ones((64, 128, 3)))
+    light = Light("uniform", np.ones((64, 128, 3)))
     plain, shadowed, bounced = (
         render(f"numpy-order4{kind}", head, light).mean() for kind in ("", "-visibility", "-bounce")
     )

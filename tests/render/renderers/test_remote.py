@@ -15,7 +15,7 @@ from sfsnet_dr.metrics.equivalence import Estimate, agree, from_seeds
 from sfsnet_dr.render.renderers.base import Budget
 from sfsnet_dr.render.renderers.registry import find_renderer
 from sfsnet_dr.render.renderers.remote import cycles_python
-from sfsnet_dr.scene.lights.light import SceneLight, heading
+from sfsnet_dr.scene.lights.light import Light, heading
 from sfsnet_dr.scene.mesh import sphere
 from sfsnet_dr.scene.spec import CameraSpec, SceneSpec
 from sfsnet_dr.scene.subject import Subject
@@ -49,19 +49,19 @@ def hollow() -> Subject:
     )
 
 
-def oblique_sky(tint: tuple[float, float, float] = (1.0, 0.8, 0.5)) -> SceneLight:
+def oblique_sky(tint: tuple[float, float, float] = (1.0, 0.8, 0.5)) -> Light:
     """A bright spot on a dim sky, off every axis, and high enough that the map's rows matter."""
     spot = np.maximum(equirect_directions(64, 128) @ heading(50, 40), 0)[..., None] ** 8
-    return SceneLight("oblique", (0.2 + 2.0 * spot) * np.array(tint))
+    return Light("oblique", (0.2 + 2.0 * spot) * np.array(tint))
 
 
-def all_at_once() -> SceneLight:
+def all_at_once() -> Light:
     """The sky and two suns of two colours, from three sides."""
     lamps = ((heading(40, 30), np.array([2.0, 1.5, 1.0])), (heading(-60, -10), np.array([0.2, 0.5, 0.9])))
-    return SceneLight("all", oblique_sky().environment, lamps)
+    return Light("all", oblique_sky().environment, lamps)
 
 
-def estimate(name: str, light: SceneLight, samples: int, subject: Subject | None = None) -> Estimate:
+def estimate(name: str, light: Light, samples: int, subject: Subject | None = None) -> Estimate:
     renderer, where = find_renderer(name), subject or hollow()
     return from_seeds([renderer.render(where, light, Budget(samples, seed)) for seed in range(SEEDS)])
 
@@ -104,7 +104,7 @@ def test_cycles_agrees_where_shading_normals_face_away_from_the_viewer() -> None
     tilted = sphere().normals + np.array([0.0, 0.0, -0.6])
     tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
     ball = replace(ball, mesh=replace(sphere(), normals=tilted))
-    light = SceneLight("right", None, ((heading(60, 0), np.ones(3)),))
+    light = Light("right", None, ((heading(60, 0), np.ones(3)),))
     names = ("cycles-direct", "mitsuba-llvm-direct")
     ours, theirs = (find_renderer(name).render(ball, light, Budget(256, 0)) for name in names)
     assert (theirs[10:14, 21:23] == 0).all()  # the rim at the right, towards the light

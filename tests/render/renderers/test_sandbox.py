@@ -14,11 +14,11 @@ from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.render.renderers.base import Budget, Capabilities
 from sfsnet_dr.render.renderers.registry import find_renderer, renderers
 from sfsnet_dr.render.renderers.sandbox import Outcome, run_guarded
-from sfsnet_dr.scene.lights.light import SceneLight, heading
+from sfsnet_dr.scene.lights.light import Light, heading
 from sfsnet_dr.scene.spec import CameraSpec, SceneSpec
 from sfsnet_dr.scene.subject import Subject, build_subject
 
-SUN = SceneLight("sun", None, ((heading(30, 20), np.array([3.0, 2.0, 1.0])),))
+SUN = Light("sun", None, ((heading(30, 20), np.array([3.0, 2.0, 1.0])),))
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -8,7 +8,7 @@ import pytest
 from sfsnet_dr.core.color import LUMINANCE
 from sfsnet_dr.scene.lights.batch import light_faces, turns_to
 from sfsnet_dr.scene.lights.cache import bank_of, draw_bank
-from sfsnet_dr.scene.lights.light import SceneLight, heading
+from sfsnet_dr.scene.lights.light import Light, heading
 from sfsnet_dr.scene.lights.sampling import sample_direction, turn_to
 from sfsnet_dr.scene.lights.spec import LightSpec
 from sfsnet_dr.scene.lights.vmf_lobes import sample_lights
@@ -39,7 +39,7 @@ def test_turns_and_rotations_are_those_of_one_light() -> None:
 
 def test_a_light_that_stands_right_is_balanced_exposed_and_labelled_as_on_maps() -> None:
     lamps = ((DIRECTIONS[0], np.array([3.0, 2.0, 1.0])), (heading(-100.0, -20.0), np.array([1.0, 1.0, 2.0])))
-    light = SceneLight("sun and lamp", sky(1), lamps)
+    light = Light("sun and lamp", sky(1), lamps)
     found = light_faces(np.random.default_rng(0), bank_of([(light, False)]), DIRECTIONS[None, :1], FIXED)
     expected = light.softened(DIRECTIONS[:1]).balanced(1.0).exposed(0.6)
     np.testing.assert_allclose(found.irradiance[0, 0], expected.directional[0][1], rtol=2e-3)
@@ -53,7 +53,7 @@ def test_a_light_that_stands_right_is_balanced_exposed_and_labelled_as_on_maps()
 
 def test_surroundings_turn_with_their_sun() -> None:
     sun = heading(170.0, 12.0)
-    light = SceneLight("sun", sky(2), ((sun, np.array([2.0, 2.0, 2.0])),))
+    light = Light("sun", sky(2), ((sun, np.array([2.0, 2.0, 2.0])),))
     directions = np.tile(DIRECTIONS, (64, 1, 1))
     found = light_faces(np.random.default_rng(0), bank_of([(light, False)]), directions, FIXED)
     chosen = (found.irradiance.sum(axis=-1) > 0).astype(int)
@@ -67,7 +67,7 @@ def test_surroundings_turn_with_their_sun() -> None:
 
 
 def test_a_sun_that_no_direction_is_high_enough_for_becomes_soft() -> None:
-    light = SceneLight("noon", np.full((64, 128, 3), 0.2), ((heading(0.0, 60.0), np.ones(3)),))
+    light = Light("noon", np.full((64, 128, 3), 0.2), ((heading(0.0, 60.0), np.ones(3)),))
     found = light_faces(np.random.default_rng(0), bank_of([(light, False)]), DIRECTIONS[None], FIXED)
     assert not found.irradiance.any()
     expected = light.softened(DIRECTIONS).exposed(0.6)
@@ -76,7 +76,7 @@ def test_a_sun_that_no_direction_is_high_enough_for_becomes_soft() -> None:
 
 def test_lamps_of_a_studio_come_from_the_faces_directions() -> None:
     lamps = tuple((heading(angle, 0.0), np.full(3, power)) for angle, power in ((10.0, 2.0), (70.0, 1.0)))
-    bank = bank_of([(SceneLight("two", np.full((64, 128, 3), 0.1), lamps), True)])
+    bank = bank_of([(Light("two", np.full((64, 128, 3), 0.1), lamps), True)])
     directions = np.array(
         [[sample_direction(np.random.default_rng(k + 9 * b)) for k in range(6)] for b in range(40)]
     )

@@ -12,7 +12,7 @@ from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.core.image_io import write_exr
 from sfsnet_dr.scene.lights import cache
 from sfsnet_dr.scene.lights.cache import bank_fingerprint, bank_of, draw_bank, kept_bank
-from sfsnet_dr.scene.lights.light import SceneLight, heading
+from sfsnet_dr.scene.lights.light import Light, heading
 from sfsnet_dr.scene.lights.spec import LightSpec
 
 QUICK = LightSpec(hdr=0, sun_sky=0, studio=0, directional=1, ambient=0, lobes=1)
@@ -30,7 +30,7 @@ def test_light_n_depends_on_the_seed_and_n_alone() -> None:
 
 def test_a_light_is_kept_as_map_coefficients_and_lamps() -> None:
     lamps = ((heading(20.0, 30.0), np.array([1.0, 2.0, 3.0])), (heading(-90.0, 0.0), np.ones(3)))
-    light = SceneLight("both", np.full((64, 128, 3), 0.5), lamps)
+    light = Light("both", np.full((64, 128, 3), 0.5), lamps)
     bank = bank_of([(light, False)])
     np.testing.assert_allclose(bank.radiance[0], light.environment_coefficients().values)
     np.testing.assert_allclose(bank.toward[0, :2], [lamps[0][0], lamps[1][0]])

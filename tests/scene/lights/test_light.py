@@ -7,18 +7,18 @@ from sfsnet_dr.core.color import LUMINANCE
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.scene.lights.area_lights import Panel, studio
 from sfsnet_dr.scene.lights.equirect import MAP_SIZE
-from sfsnet_dr.scene.lights.light import SceneLight, heading, rotation_about
+from sfsnet_dr.scene.lights.light import Light, heading, rotation_about
 from sfsnet_dr.sh.basis import sh_basis
 
 GREY = np.array([0.5, 0.5, 0.5])
 SUN = (heading(40.0, 30.0), np.array([3.0, 2.5, 2.0]))
 
 
-def composed() -> SceneLight:
+def composed() -> Light:
     """A soft panel and two lamps: one of everything."""
     panel = Panel(heading(-50, 20), (25.0, 15.0), 10.0, 6.0, np.array([4.0, 5.0, 6.0]), round=False)
     walls = studio((panel,), np.array([0.2, 0.15, 0.1]), np.array([0.05, 0.05, 0.05]))
-    return SceneLight("composed", walls, (SUN, (heading(-70.0, -10.0), np.array([0.3, 0.4, 1.0]))))
+    return Light("composed", walls, (SUN, (heading(-70.0, -10.0), np.array([0.3, 0.4, 1.0]))))
 
 
 def normals(count: int = 200) -> np.ndarray:
@@ -27,7 +27,7 @@ def normals(count: int = 200) -> np.ndarray:
 
 
 def test_a_white_dome_shades_everything_white() -> None:
-    dome = SceneLight("dome", np.ones((*MAP_SIZE, 3)))
+    dome = Light("dome", np.ones((*MAP_SIZE, 3)))
     label = dome.shading_label()
     np.testing.assert_allclose(label.evaluate(normals()), 1.0, atol=1e-12)
     np.testing.assert_allclose(dome.shading(normals()), 1.0, atol=1e-12)
@@ -35,7 +35,7 @@ def test_a_white_dome_shades_everything_white() -> None:
 
 
 def test_directional_light_is_lamberts_law_and_its_coefficients_are_the_basis() -> None:
-    light = SceneLight("sun", None, (SUN,))
+    light = Light("sun", None, (SUN,))
     facing = np.maximum(normals() @ SUN[0], 0)[:, None] * SUN[1] / np.pi
     np.testing.assert_allclose(light.shading(normals()), facing, atol=1e-15)
     np.testing.assert_allclose(
@@ -48,7 +48,7 @@ def test_coefficients_add_map_and_lamps() -> None:
     light = composed()
     apart = light.environment_coefficients(4)
     for lamp in light.directional:
-        apart = apart + SceneLight("lamp", None, (lamp,)).coefficients(4)
+        apart = apart + Light("lamp", None, (lamp,)).coefficients(4)
     np.testing.assert_allclose(light.coefficients(4).values, apart.values, atol=1e-14)
     assert light.shading_label().values.shape == (9, 3)
 
@@ -64,7 +64,7 @@ def test_exposure_and_white_balance() -> None:
 
 
 def test_a_deep_tint_is_balanced_no_further_than_cameras_do() -> None:
-    sodium = SceneLight("sodium", np.ones((*MAP_SIZE, 3)) * np.array([1.0, 0.6, 0.001]))
+    sodium = Light("sodium", np.ones((*MAP_SIZE, 3)) * np.array([1.0, 0.6, 0.001]))
     balanced = sodium.balanced(1.0).face_shading()
     assert balanced[2] < 0.02 * balanced[1]
 
@@ -89,7 +89,7 @@ def test_softening_keeps_the_power_and_the_given_directions() -> None:
 
 
 def test_a_softened_light_hardly_rings() -> None:
-    sun = SceneLight("sun", None, (SUN,))
+    sun = Light("sun", None, (SUN,))
     hard, soft = (
         light.coefficients(4).evaluate(normals(2000)) for light in (sun, sun.softened(np.zeros((0, 3))))
     )
@@ -119,12 +119,12 @@ def test_headings_are_the_conventions_of_the_camera_frame() -> None:
 )
 def test_what_is_no_light_is_refused(environment: object, directional: object, words: str) -> None:
     with pytest.raises(InputError, match=words):
-        SceneLight("x", environment, directional)  # type: ignore[arg-type]
+        Light("x", environment, directional)  # type: ignore[arg-type]
 
 
 def test_a_light_behind_everything_cannot_be_exposed() -> None:
     with pytest.raises(InputError, match="exposed"):
-        SceneLight("behind", None, ((np.array([0.0, 0.0, -1.0]), np.ones(3)),)).exposed(1.0)
+        Light("behind", None, ((np.array([0.0, 0.0, -1.0]), np.ones(3)),)).exposed(1.0)
 
 
 def test_the_path_tracer_sees_the_same_light() -> None:

@@ -11,7 +11,7 @@ from sfsnet_dr.core.color import LUMINANCE
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.core.image_io import write_exr
 from sfsnet_dr.scene.lights.equirect import MAP_SIZE
-from sfsnet_dr.scene.lights.light import SceneLight
+from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.lights.presets import (
     EXPOSURE,
     describe,
@@ -79,6 +79,6 @@ def test_wrong_lights_are_refused() -> None:
     with pytest.raises(InputError, match="light 'directionl60': unknown; did you mean 'directional60'"):
         light_set("constant,directionl60")
     with pytest.raises(InputError, match="light 'night': all zeros found"):
-        require_light(SceneLight("night", np.zeros((*MAP_SIZE, 3))))
+        require_light(Light("night", np.zeros((*MAP_SIZE, 3))))
     with pytest.raises(InputError, match="light 'off': all zeros found"):
-        require_light(SceneLight("off", None, ((np.array([0.0, 0.0, 1.0]), np.zeros(3)),)))
+        require_light(Light("off", None, ((np.array([0.0, 0.0, 1.0]), np.zeros(3)),)))
