@@ -1,10 +1,9 @@
-"""The ``sfsnet-dr`` command: which command is meant, how it ends, and what goes to standard output.
+"""The ``sfsnet-dr`` command: parse arguments, run one command, print its result, return the exit code.
 
-Bad input ends with one line on standard error and exit code 2, failed work with one line and exit code 1, an
-interrupt with 130. With ``--json`` standard output holds a JSON array of records (for ``doctor``: its report)
-and nothing else; whatever a library prints goes to standard error.
-
-Which commands there are.
+Exit codes: 0 for success, 1 for failed work (``RunError``, or a check that found a difference), 2 for invalid
+input (``InputError``), 130 for an interrupt. Errors are one line on standard error. With ``--json`` standard
+output holds a JSON array of records (for ``doctor``: its report) and nothing else; whatever a library prints
+goes to standard error.
 """
 
 from __future__ import annotations
@@ -18,104 +17,32 @@ from typing import Final
 
 import tyro
 
-from sfsnet_dr.cli.bench import BenchLoss, BenchRelight, BenchRender, BenchSynth, BenchTrain
+import sfsnet_dr
+from sfsnet_dr.cli.commands import COMMANDS
 from sfsnet_dr.cli.common import Command
-from sfsnet_dr.cli.evaluation import DataCheck, Evaluate, PhotometricStereo
-from sfsnet_dr.cli.faces import Relight, Show, Synth
-from sfsnet_dr.cli.start import Demo, Doctor
-from sfsnet_dr.cli.training import Ablations, Decompose, PseudoLabel, Stages, Train
-from sfsnet_dr.cli.validation import Regress, Stability, Validate, WorstLight
-from sfsnet_dr.cli.weights import FitLights, WeightsCheck, WeightsList, WeightsMean, WeightsPack
+from sfsnet_dr.cli.help import group_overview, overview, subcommands
+from sfsnet_dr.cli.renamed import RENAMED_COMMANDS, RENAMED_OPTIONS
 from sfsnet_dr.core.errors import InputError, RunError, nearest
 from sfsnet_dr.core.host import standard_output_to_error
 
-#: Commands by the words on the command line, with the line that the overview shows.
-COMMANDS: Final[dict[str, tuple[type[Command], str]]] = {
-    "doctor": (Doctor, "Check that this machine can render"),
-    "synth": (Synth, "Render faces with their ground truth"),
-    "show": (Show, "Make a contact sheet of rendered faces"),
-    "relight": (Relight, "Put one rendered face under another light"),
-    "train": (Train, "Train a network by a recipe"),
-    "pseudo-label": (PseudoLabel, "Label photographs with a network's answers"),
-    "stages": (Stages, "Run every stage of training and measure the networks"),
-    "ablations": (Ablations, "Measure what each part of the method is worth"),
-    "data check": (DataCheck, "Count what a folder of a face database holds"),
-    "photometric-stereo": (PhotometricStereo, "Find normals from photographs under known lights"),
-    "evaluate": (Evaluate, "Measure networks and baselines on faces with known normals"),
-    "fit-lights": (FitLights, "Learn from photographs which lights there are"),
-    "decompose": (Decompose, "Take photographs of faces apart"),
-    "weights list": (WeightsList, "Name the trained networks that come with the package"),
-    "weights check": (WeightsCheck, "Measure them and compare with their cards"),
-    "weights pack": (WeightsPack, "Keep a network's weights in eight bits"),
-    "weights mean": (WeightsMean, "Average networks that were trained on from one another"),
-    "validate": (Validate, "Measure the SH renderer against the path tracer"),
-    "worst-light": (WorstLight, "Find the light under which the SH renderer is most wrong"),
-    "stability": (Stability, "Put hard cases to every SH renderer and the loss"),
-    "bench synth": (BenchSynth, "Measure how fast faces are rendered"),
-    "bench relight": (BenchRelight, "Measure relit faces against path-traced ones"),
-    "regress": (Regress, "Hold every renderer to what it should show"),
-    "bench loss": (BenchLoss, "Time the reconstruction loss against torch and the memory"),
-    "bench render": (BenchRender, "Time the SH renderer against torch and the memory"),
-    "bench train": (BenchTrain, "Time the steps of training and what they are made of"),
-    "demo": (Demo, "Run the whole pipeline and write a report"),
-}
-
-
 #: How the parts of tyro's messages begin that only say where to read more.
-_MORE = ("For full helptext", "Argument helptext")
+_MORE: Final = ("For full helptext", "Argument helptext")
 
-
-def overview() -> str:
-    """What `sfsnet-dr` alone prints."""
-    width = max(map(len, COMMANDS))
-    rows = "\n".join(f"  {name:<{width}}  {line}" for name, (_, line) in COMMANDS.items())
-    return (
-        f"Physically based inverse rendering of faces.\n\nusage: sfsnet-dr COMMAND ...\n\n{rows}\n\n"
-        "`sfsnet-dr COMMAND --help` explains a command. Start with `sfsnet-dr doctor`, then `sfsnet-dr demo`."
-    )
-
-
-def parse(argv: Sequence[str]) -> Command:
-    """The command that the arguments name.
-
-    Raises:
-        InputError: for an unknown command, or arguments that it does not take.
-        SystemExit: with 0 for --help.
-    """
-    name, rest = _split(argv)
-    if name not in COMMANDS:
-        raise InputError(f"command {name!r} found; {nearest(name, COMMANDS)}")
-    prog, told = f"sfsnet-dr {name}", StringIO()
-    try:
-        with redirect_stderr(told):
-            return tyro.cli(COMMANDS[name][0], prog=prog, args=rest, config=(tyro.conf.FlagCreatePairsOff,))
-    except SystemExit as end:
-        if not end.code:
-            raise
-        raise InputError(f"{name}: {_unboxed(told.getvalue())}; see `{prog} --help`") from end
-
-
-def _unboxed(box: str) -> str:
-    """What tyro says in a box of several lines, in one; its parts on where to read more are left out."""
-    rows = [row.strip(" │") for row in box.splitlines() if row.strip().startswith("│")]
-    parts = [" ".join(part.split()) for part in "\n".join(rows).split("───")]
-    kept = [part.strip("─ ") for part in parts if not part.strip("─ ").startswith(_MORE)]
-    return "; ".join(part.rstrip(".") for part in kept if part) or " ".join(box.split())
-
-
-def _split(argv: Sequence[str]) -> tuple[str, list[str]]:
-    """The command's one or two words (``bench synth``), and its arguments."""
-    words = 2 if any(name.startswith(f"{argv[0]} ") for name in COMMANDS) else 1
-    return " ".join(argv[:words]), list(argv[words:])
+_HELP: Final = ("-h", "--help", "help")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit code."""
+    """Run one command and return its exit code.
+
+    Args:
+        argv: the words after ``sfsnet-dr``; those of the process if left out.
+    """
     argv = sys.argv[1:] if argv is None else argv
-    if not argv or argv[0] in ("-h", "--help", "help"):
-        print(overview())
-        return 0
     try:
+        text = _text_without_command(argv)
+        if text is not None:
+            print(text, flush=True)
+            return 0
         command = parse(argv)
         with standard_output_to_error() if command.as_json else nullcontext():
             result = command.run()
@@ -130,6 +57,73 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader, such as `head`, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+
+
+def parse(argv: Sequence[str]) -> Command:
+    """Return the command that the arguments name, with its options set.
+
+    Raises:
+        InputError: for an unknown command, or options and values that it does not take.
+        SystemExit: with code 0 for ``--help``.
+    """
+    name, rest = _split(argv)
+    if name in RENAMED_COMMANDS:
+        raise InputError(f"command {name!r} is now called {RENAMED_COMMANDS[name]!r}")
+    if name not in COMMANDS:
+        raise InputError(f"command {name!r} found; {nearest(name, COMMANDS)}; see `sfsnet-dr --help`")
+    prog, messages, current = f"sfsnet-dr {name}", StringIO(), _with_new_options(name, rest)
+    try:
+        with redirect_stderr(messages):
+            return tyro.cli(
+                COMMANDS[name][0], prog=prog, args=current, config=(tyro.conf.FlagCreatePairsOff,)
+            )
+    except SystemExit as end:
+        if not end.code:
+            raise
+        raise InputError(f"{name}: {_unboxed(messages.getvalue())}; see `{prog} --help`") from end
+
+
+def _text_without_command(argv: Sequence[str]) -> str | None:
+    """Return the text that the arguments ask for where they name no command to run, else None."""
+    if not argv or argv[0] in _HELP:
+        return overview()
+    if argv[0] == "--version":
+        return f"sfsnet-dr {sfsnet_dr.__version__}"
+    if argv[0] == "--completion":
+        from sfsnet_dr.cli.completion import completion_script
+
+        return completion_script(" ".join(argv[1:]))
+    if argv[0] not in COMMANDS and subcommands(argv[0]) and (len(argv) == 1 or argv[1] in _HELP):
+        return group_overview(argv[0])
+    return None
+
+
+def _with_new_options(name: str, args: Sequence[str]) -> list[str]:
+    """Replace options that were renamed; a note on standard error says so."""
+    renamed = RENAMED_OPTIONS.get(name, {})
+    current = []
+    for arg in args:
+        option, equals, value = arg.partition("=")
+        if option in renamed:
+            print(f"sfsnet-dr: {name}: {option} is now called {renamed[option]}", file=sys.stderr)
+            arg = f"{renamed[option]}{equals}{value}"
+        current.append(arg)
+    return current
+
+
+def _unboxed(box: str) -> str:
+    """Return in one line what tyro prints in a box of several; its hints where to read more are left out."""
+    rows = [row.strip(" │") for row in box.splitlines() if row.strip().startswith("│")]
+    parts = [" ".join(part.split()) for part in "\n".join(rows).split("───")]
+    kept = [part.strip("─ ") for part in parts if not part.strip("─ ").startswith(_MORE)]
+    return "; ".join(part.rstrip(".") for part in kept if part) or " ".join(box.split())
+
+
+def _split(argv: Sequence[str]) -> tuple[str, list[str]]:
+    """Split the arguments into the command's one or two words (``bench synth``) and the rest."""
+    names = [*COMMANDS, *RENAMED_COMMANDS]
+    words = 2 if argv[0] not in COMMANDS and any(name.startswith(f"{argv[0]} ") for name in names) else 1
+    return " ".join(argv[:words]), list(argv[words:])
 
 
 def _fail(error: object, code: int) -> int:

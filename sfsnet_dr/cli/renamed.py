@@ -1,7 +1,7 @@
 """Old names of commands and options.
 
-An old command is refused with its new name. An old option still works for one version, with a note on standard
-error. Old keys of TOML files are listed beside the dataclass that reads them (``RENAMED``).
+An old command is refused with its new name. An old option still works for one version, with a note on
+standard error. Old keys of TOML files are listed beside the dataclass that reads them (``RENAMED``).
 """
 
 from __future__ import annotations

@@ -15,8 +15,9 @@ import torch
 from helpers.bad_commands import BAD, decompose, empty_mask, missing
 
 from sfsnet_dr.cli import start
+from sfsnet_dr.cli.commands import COMMANDS
 from sfsnet_dr.cli.common import Result
-from sfsnet_dr.cli.main import COMMANDS, main, overview
+from sfsnet_dr.cli.main import main
 from sfsnet_dr.core.errors import RunError
 from sfsnet_dr.core.image_io import write_png
 from sfsnet_dr.models.sfsnet import SfSNet
@@ -117,13 +118,6 @@ def test_other_ends_have_their_codes(
     monkeypatch.setattr(start.Demo, "run", fail)
     assert main(["demo"]) == code
     assert capfd.readouterr().err == line
-
-
-def test_alone_it_prints_help(capfd: pytest.CaptureFixture[str]) -> None:
-    for arguments in ([], ["--help"], ["-h"]):
-        assert main(arguments) == 0
-        assert capfd.readouterr().out == overview() + "\n"
-    assert all(f"  {name} " in overview() for name in COMMANDS)
 
 
 @pytest.mark.parametrize("name", COMMANDS)
