@@ -223,7 +223,8 @@ class Stages:
     as_json: Json = False
 
     def run(self) -> Result:
-        from sfsnet_dr.experiments.pipeline.run import read_plan, run_stages
+        from sfsnet_dr.experiments.pipeline.config import read_plan
+        from sfsnet_dr.experiments.pipeline.run import run_stages
 
         plan = read_plan(
             self.stages,

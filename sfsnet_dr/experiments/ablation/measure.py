@@ -21,7 +21,7 @@ from sfsnet_dr.experiments.evaluation.collect import Amount, collect
 from sfsnet_dr.experiments.evaluation.measure import measure
 from sfsnet_dr.experiments.evaluation.records import by_subject
 from sfsnet_dr.experiments.evaluation.samples import Collection
-from sfsnet_dr.experiments.pipeline.test_split import held_pictures, on_rendered
+from sfsnet_dr.experiments.pipeline.holdout_split import held_pictures, on_rendered
 from sfsnet_dr.inference.methods import NetworkMethod
 from sfsnet_dr.metrics.bootstrap import interval
 from sfsnet_dr.models.inference import Trained

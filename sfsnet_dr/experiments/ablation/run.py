@@ -1,14 +1,8 @@
-"""Renders the faces of all ablations, trains their networks, and has them measured; each once.
-
-What the parts of a study cost, kept in a file so that a study that was stopped still knows.
-"""
+"""Render the faces of all ablations, train their networks, and measure them; each step once."""
 
 from __future__ import annotations
 
-import json
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -23,54 +17,12 @@ from sfsnet_dr.data.normal_labels import read_index
 from sfsnet_dr.data.photos import photo_folder
 from sfsnet_dr.data.unshadowed import remove_visibility
 from sfsnet_dr.experiments.ablation.config import HELD_SEED, Case, Plan
+from sfsnet_dr.experiments.ablation.ledger import Ledger, labelling, rendering, training
+from sfsnet_dr.experiments.ablation.page import finish
 from sfsnet_dr.experiments.pipeline.cache import label_photographs, render_missing, train_once
 from sfsnet_dr.report.record import Record
 from sfsnet_dr.scene.spec import SceneSpec
 from sfsnet_dr.train.run import WEIGHTS
-
-
-class Ledger:
-    """Processor seconds of this process, all threads together, by the name of the work.
-
-    Time of a process that was killed before it could note it is lost.
-
-    Args:
-        path: a line of JSON for each piece of work; made when the first is noted.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._last = time.process_time()
-
-    def start(self) -> None:
-        """Forget the time since the last note: it belongs to nothing."""
-        self._last = time.process_time()
-
-    def note(self, what: str) -> None:
-        """The time since ``start`` or the last note was spent on this."""
-        now = time.process_time()
-        line = json.dumps({"what": what, "seconds": round(now - self._last, 4)})
-        with self.path.open("a", encoding="utf-8") as file:
-            file.write(line + "\n")
-        self._last = now
-
-    @contextmanager
-    def spent(self, what: str) -> Iterator[None]:
-        """Note the time of a block, also of one that fails."""
-        self.start()
-        try:
-            yield
-        finally:
-            self.note(what)
-
-    def seconds(self, what: str) -> list[float]:
-        """All that was noted for a piece of work, in order."""
-        if not self.path.is_file():
-            return []
-        text = self.path.read_text(encoding="utf-8")
-        lines = [json.loads(line) for line in text[: text.rfind("\n") + 1].splitlines()]
-        return [float(line["seconds"]) for line in lines if line["what"] == what]
-
 
 #: Faces rendered in one go: few enough for ``data.workers`` to do it in this process, whose time counts.
 _AT_ONCE: Final = 100
@@ -90,8 +42,6 @@ def run_ablations(plan: Plan, *, command: str, console: Console | None = None) -
         InputError: for unusable data, or a folder that holds other faces or networks.
         RunError: if rendering or training failed; the same call goes on.
     """
-    from sfsnet_dr.experiments.ablation.page import finish
-
     screen = console or Console(stderr=True)
     output_dir(plan.folder)
     if plan.surfaces is not None:  # unusable ones are told before anything is rendered
@@ -110,21 +60,6 @@ def run_ablations(plan: Plan, *, command: str, console: Console | None = None) -
                 _train(plan, case, seed, ledger, rule)
     rule("measure", "held-back faces" if plan.surfaces is None else "held-back faces and photographs")
     return finish(plan, ledger, command)
-
-
-def rendering(plan: Plan, folder: Path) -> str:
-    """How the ledger calls the rendering of faces."""
-    return f"rendering {folder.relative_to(plan.folder).as_posix()}"
-
-
-def training(name: str, seed: int) -> str:
-    """How the ledger calls a training."""
-    return f"training {name}-{seed}"
-
-
-def labelling(name: str, seed: int) -> str:
-    """How the ledger calls the labelling of photographs."""
-    return f"labelling {name}-{seed}"
 
 
 def _render_all(plan: Plan, ledger: Ledger, rule: Rule) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sfsnet_dr.data.bundle import Bundle
-from sfsnet_dr.experiments.demo.run import TOLERANCE, DemoResult
+from sfsnet_dr.experiments.demo.result import TOLERANCE, DemoResult
 from sfsnet_dr.experiments.validation.page import section
 from sfsnet_dr.experiments.validation.summary import duration, pooled
 from sfsnet_dr.inference.outputs import pictures

@@ -6,9 +6,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +17,8 @@ from sfsnet_dr.core.files import output_dir
 from sfsnet_dr.data.alignment import face_ellipse_mask, read_eyes, to_canonical
 from sfsnet_dr.data.bundle import Bundle
 from sfsnet_dr.data.generate import render_bundle, synthesize
+from sfsnet_dr.experiments.demo.page import write_demo_page
+from sfsnet_dr.experiments.demo.result import TOLERANCE, DemoResult
 from sfsnet_dr.experiments.doctor import Report, diagnose
 from sfsnet_dr.experiments.validation.records import study_records
 from sfsnet_dr.experiments.validation.run import measure
@@ -41,43 +41,10 @@ from sfsnet_dr.train.trainer import train
 FACES = 24
 #: Far from the seeds of the training faces.
 UNSEEN_SEED = 100_000
-#: Lights and tolerance of the validation in the demo; ``sfsnet-dr validate`` has more.
-LIGHTS, TOLERANCE = "natural,directional60", 0.05
+#: Lights of the validation in the demo; ``sfsnet-dr validate`` has more.
+LIGHTS = "natural,directional60"
 _COMMAND = "sfsnet-dr demo"
 _BACKGROUND = 0.2
-
-
-@dataclass(frozen=True)
-class DemoResult:
-    """Everything that the page shows.
-
-    Attributes:
-        doctor: the state of the installation.
-        spec: of the rendered faces.
-        bundles: the first rendered faces, for the contact sheet.
-        rendered, render_seconds: faces that this run rendered, and their time.
-        studies: one for each validated scene.
-        training, history: what training gave, and a line for each step.
-        photograph: the astronaut, decomposed by the shipped network.
-        synthetic, truth: the unseen face, decomposed likewise, and its ground truth.
-        normal_errors: of the unseen face on its mask; ``own_errors`` those of the network trained here.
-        records: every number, in order.
-    """
-
-    doctor: Report
-    spec: SceneSpec
-    bundles: tuple[Bundle, ...]
-    rendered: int
-    render_seconds: float
-    studies: tuple[Study, ...]
-    training: TrainResult
-    history: list[dict[str, Any]]
-    photograph: Decomposed
-    synthetic: Decomposed
-    truth: Bundle
-    normal_errors: NormalErrors
-    own_errors: NormalErrors
-    records: tuple[Record, ...]
 
 
 def run_demo(out: Path | str, root: Path | str = ".", *, console: Console | None = None) -> list[Record]:
@@ -92,8 +59,6 @@ def run_demo(out: Path | str, root: Path | str = ".", *, console: Console | None
         InputError: if ``root`` is no checkout, or ``out`` cannot be written to.
         RunError: if the renderer does not start.
     """
-    from sfsnet_dr.experiments.demo.page import write_demo_page
-
     begin = time.perf_counter()
     folder, checkout = output_dir(out), _checkout(root)
     screen = console or Console(stderr=True)

@@ -22,8 +22,8 @@ from sfsnet_dr.experiments.evaluation.collect import Amount, collect
 from sfsnet_dr.experiments.evaluation.methods import Wanted, methods_for
 from sfsnet_dr.experiments.evaluation.run import evaluate
 from sfsnet_dr.experiments.evaluation.splits import unseen
-from sfsnet_dr.experiments.pipeline.run import FINE_TUNED, FINE_TUNED_FROM, NETWORKS, Plan
-from sfsnet_dr.experiments.pipeline.test_split import (
+from sfsnet_dr.experiments.pipeline.config import FINE_TUNED, FINE_TUNED_FROM, NETWORKS, Plan
+from sfsnet_dr.experiments.pipeline.holdout_split import (
     Numbers,
     held_batch,
     on_photographs,

@@ -17,7 +17,7 @@ from sfsnet_dr.data.dataset import load_faces
 from sfsnet_dr.data.generate import synthesize
 from sfsnet_dr.data.photos import photo_folder
 from sfsnet_dr.data.transforms.background import Augmentation
-from sfsnet_dr.experiments.pipeline.test_split import held_batch, on_photographs, on_rendered, records_of
+from sfsnet_dr.experiments.pipeline.holdout_split import held_batch, on_photographs, on_rendered, records_of
 from sfsnet_dr.models.inference import Trained, load_trained
 from sfsnet_dr.models.shipped import FOLDER, weights_name
 from sfsnet_dr.report.record import Record, read_records

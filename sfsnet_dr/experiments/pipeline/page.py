@@ -12,9 +12,9 @@ from sfsnet_dr.core.color_torch import srgb_to_linear
 from sfsnet_dr.data.photos import PhotoSource
 from sfsnet_dr.data.pseudo_labels import decoded, load_pseudo_labels
 from sfsnet_dr.data.transforms.crop import View
+from sfsnet_dr.experiments.pipeline.config import NETWORKS, Plan
+from sfsnet_dr.experiments.pipeline.holdout_split import find
 from sfsnet_dr.experiments.pipeline.measure import PHOTOGRAPHS, Outcome, measure, training_seconds
-from sfsnet_dr.experiments.pipeline.run import NETWORKS, Plan
-from sfsnet_dr.experiments.pipeline.test_split import find
 from sfsnet_dr.inference.decompose import Picture, take_apart
 from sfsnet_dr.inference.outputs import pictures
 from sfsnet_dr.inference.visualize import (

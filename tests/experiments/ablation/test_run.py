@@ -141,7 +141,7 @@ def test_variants_are_trained_once_and_compared(
     assert "trained from 2 seeds" in page
 
     trainings.clear()
-    monkeypatch.setattr("sfsnet_dr.experiments.ablation.page.finish", lambda *_: [])
+    monkeypatch.setattr("sfsnet_dr.experiments.ablation.run.finish", lambda *_: [])
     run_ablations(plan, command="", console=Console(quiet=True))
     assert not trainings, "nothing is trained twice"
     fewer = read_ablations(write_set(tmp_path / "set", lambda t: t.replace("faces = 3", "faces = 2")), out)

@@ -20,8 +20,14 @@ from sfsnet_dr.data.dataset import load_faces
 from sfsnet_dr.data.photos import PhotoSet
 from sfsnet_dr.data.transforms.background import Augmentation
 from sfsnet_dr.data.transforms.crop import View
-from sfsnet_dr.experiments.pipeline.run import NETWORKS, read_plan, run_stages
-from sfsnet_dr.experiments.pipeline.test_split import held_batch, on_photographs, on_rendered, reconstruction
+from sfsnet_dr.experiments.pipeline.config import NETWORKS, read_plan
+from sfsnet_dr.experiments.pipeline.holdout_split import (
+    held_batch,
+    on_photographs,
+    on_rendered,
+    reconstruction,
+)
+from sfsnet_dr.experiments.pipeline.run import run_stages
 from sfsnet_dr.inference.visualize import png_bytes
 from sfsnet_dr.metrics.image import mae_8bit, rmse_8bit
 from sfsnet_dr.models.base import Decomposition, Network
@@ -118,7 +124,7 @@ def test_all_stages_run_once_and_are_measured(
     for name in NETWORKS:
         assert f'id="{name}"' in page
 
-    monkeypatch.setattr("sfsnet_dr.experiments.pipeline.page.finish", lambda *_: [])
+    monkeypatch.setattr("sfsnet_dr.experiments.pipeline.run.finish", lambda *_: [])
     run_stages(plan, command="", console=quiet())
     assert len(again) == 3, "nothing is trained twice"
     recipe = path.parent / "recipes" / "sfsnet-syn.toml"
@@ -276,7 +282,7 @@ def test_the_optional_stage_fine_tunes_and_measures_on_held_back_subjects(
     plan = read_plan(path, tmp_path / "out", data=[data], rendered_photographs=True, surfaces=surfaces)
     # Of the stages before it only SfSNet's weights are needed.
     monkeypatch.setattr("sfsnet_dr.experiments.pipeline.run.NETWORKS", ("skipnet-syn", "sfsnet"))
-    monkeypatch.setattr("sfsnet_dr.experiments.pipeline.page.finish", lambda *_: [])
+    monkeypatch.setattr("sfsnet_dr.experiments.pipeline.run.finish", lambda *_: [])
     records = run_stages(plan, command="", console=quiet())
     names = {record.what for record in records}
     assert {f"balls.{name}.normals.mean_deg" for name in ("sfsnet", "sfsnet_ft_fold0of2")} <= names
