@@ -72,10 +72,12 @@ class BenchRelight:
     def run(self) -> Result:
         from sfsnet_dr.experiments.benchmarks.relight import bench_relight
         from sfsnet_dr.report.console import bar
+        from sfsnet_dr.scene.lights.spec import LightSpec
 
         spec = _spec(self.scene)
         if self.environments is not None:
-            spec = replace(spec, light=replace(spec.light, environments=str(self.environments)))
+            light = replace(spec.light or LightSpec(), environments=str(self.environments))
+            spec = replace(spec, light=light)
         spec = replace(spec, sampling=replace(spec.sampling, reference=self.paths))
         with bar("measuring faces", self.faces) as advance:
             records = bench_relight(

@@ -60,6 +60,7 @@ class Train:
 
     def run(self) -> Result:
         from sfsnet_dr.report.record import dotted, measured
+        from sfsnet_dr.scene.spec import refuse_light
         from sfsnet_dr.train.config import lit_by, read_recipe
         from sfsnet_dr.train.trainer import train
 
@@ -67,7 +68,12 @@ class Train:
         data = self.data or (self.out / "faces",)
         if not self.data:
             wanted = Synth(data[0], self.faces, scene=self.scene, resume=True)
-            render_faces(wanted.spec(), wanted)
+            scene = refuse_light(
+                wanted.spec(),
+                self.scene or "scene",
+                "training images are lit as the recipe's [data.light] says",
+            )
+            render_faces(scene, wanted)
         result = train(
             recipe,
             data,

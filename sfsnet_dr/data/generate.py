@@ -25,14 +25,15 @@ from sfsnet_dr.core.files import atomic_path, output_dir
 from sfsnet_dr.data.bundle import Bundle, BundleMeta, read_bundle, write_bundle
 from sfsnet_dr.data.manifest import NAME, Entry, Manifest
 from sfsnet_dr.data.parallel import choose
-from sfsnet_dr.scene.lights.light import MAP_ORDER
-from sfsnet_dr.scene.lights.sampling import sample_direction
+from sfsnet_dr.scene.lights.equirect import MAP_SIZE
+from sfsnet_dr.scene.lights.light import MAP_ORDER, Light
+from sfsnet_dr.scene.lights.sampling import sample_direction, sample_scene_light
 from sfsnet_dr.scene.lights.vmf_lobes import sample_lights
 from sfsnet_dr.scene.spec import FACE_SHAPES, SceneSpec
+from sfsnet_dr.sh.coefficients import Radiance
 
 if TYPE_CHECKING:
-    from sfsnet_dr.scene.faces.face import Face
-    from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
+    from sfsnet_dr.scene.scene_cache import SceneCache
 
 # Random streams of a seed's reference light and of its directional lights, apart from those of its face.
 _LIGHT_STREAM, _DIRECTIONS_STREAM = 16, 17
@@ -40,7 +41,7 @@ _PARTIAL = ".partial-"
 
 Array = npt.NDArray[np.float64]
 
-_scene: SurfaceScene | None = None  # one per process: another would compile and upload all anew
+_scenes: SceneCache | None = None  # one per process, made by the first face: it loads Mitsuba
 
 
 def synthesize(
@@ -146,21 +147,29 @@ def render_bundle(spec: SceneSpec, seed: int) -> Bundle:
     from sfsnet_dr.render.aovs import CaptureOptions, capture
     from sfsnet_dr.render.path_tracer import path_trace
     from sfsnet_dr.scene.faces.face import sample_face
-    from sfsnet_dr.scene.lights.equirect import MAP_SIZE
+    from sfsnet_dr.scene.scene_cache import SceneCache
 
     dataset, face, sampling = identity(spec), sample_face(seed, spec), spec.sampling
-    scene = _place_in_scene(spec, face)
+    camera = face.pose.camera(spec.camera)
+    global _scenes
+    _scenes = _scenes or SceneCache()
     directions = _sample_directions(seed, sampling.directions)
     options = CaptureOptions(MAP_ORDER, sampling.bounces, sampling.paths)
+    scene = _scenes.show(face.mesh, camera, gloss=spec.has_gloss)
     maps = capture(scene, sampling.transport, seed, options, directions)
-    light = sample_lights(np.random.default_rng((seed, _LIGHT_STREAM)), 1)[0]
-    scene.set_environment(light.equirect(*MAP_SIZE))
+    light, coefficients = _reference_light(spec, seed, directions)
+    scene = _scenes.show(face.mesh, camera, light, gloss=spec.has_gloss)
     reference = path_trace(scene, sampling.reference, seed, sampling.depth)
     extra: dict[str, Any] = {
         "spec": as_dict(dataset),
         "pose": as_dict(face.pose),
         "landmarks": {name: point.tolist() for name, point in face.landmarks.items()},
     }
+    if spec.light is not None:
+        extra["light"] = {
+            "kind": light.name,
+            "directional": [[toward.tolist(), power.tolist()] for toward, power in light.directional],
+        }
     if face.appearance is not None:
         extra["ita"] = round(float(face.appearance.ita), 3)
     return Bundle(
@@ -175,21 +184,21 @@ def render_bundle(spec: SceneSpec, seed: int) -> Bundle:
         gloss=maps.gloss,
         lamps=maps.lamps,
         directions=directions,
-        meta=BundleMeta(seed, spec.shape, fingerprint(dataset), light.coefficients(MAP_ORDER), extra),
+        meta=BundleMeta(seed, spec.shape, fingerprint(dataset), coefficients, extra),
     )
 
 
-def _place_in_scene(spec: SceneSpec, face: Face) -> SurfaceScene:
-    from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
+def _reference_light(spec: SceneSpec, seed: int, directions: Array) -> tuple[Light, Radiance]:
+    """Return the light of a seed's reference and its coefficients.
 
-    global _scene
-    camera = face.pose.camera(spec.camera)
-    if _scene is None or _scene.gloss != spec.has_gloss or not _scene.fits(face.mesh, camera):
-        _scene = SurfaceScene(face.mesh, camera, gloss=spec.has_gloss)
-    else:
-        _scene.set_camera(camera)
-        _scene.set_mesh(face.mesh)
-    return _scene
+    It is drawn as the scene's ``[light]`` table says, else soft lobes, whose coefficients are exact.
+    """
+    rng = np.random.default_rng((seed, _LIGHT_STREAM))
+    if spec.light is None:
+        lobes = sample_lights(rng, 1)[0]
+        return Light("lobes", lobes.equirect(*MAP_SIZE)), lobes.coefficients(MAP_ORDER)
+    light = sample_scene_light(rng, spec.light, directions if len(directions) else None)
+    return light, light.coefficients(MAP_ORDER)
 
 
 def _sample_directions(seed: int, count: int) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -102,7 +102,8 @@ class SceneSpec:
         camera: where it stands; a scene without this table has lenses from phone to tele.
         gloss: whether the surface has an oily interface with glossy lobes; without, it is diffuse. Left out,
             faces have it and other shapes do not.
-        light: which lights fall on it.
+        light: which lights `sfsnet-dr synth` draws the path-traced reference images under; left out, soft
+            lobes over a dome. Commands that choose lights by themselves refuse the table.
     """
 
     name: str
@@ -112,7 +113,7 @@ class SceneSpec:
     camera: CameraSpec = CameraSpec(focal=(26.0, 200.0))
     head: HeadSpec = HeadSpec()
     gloss: bool | None = None
-    light: LightSpec = field(default_factory=LightSpec)
+    light: LightSpec | None = added(None)  # noqa: RUF009 (frozen)
     sampling: SamplingSpec = SamplingSpec()
 
     @property
@@ -129,6 +130,22 @@ def load_scene(path: Path | str) -> SceneSpec:
     """
     spec = load_toml(SceneSpec, path)
     check_scene(spec, str(path))
+    return spec
+
+
+def refuse_light(spec: SceneSpec, where: Path | str, instead: str) -> SceneSpec:
+    """Return the scene, or refuse its ``[light]`` table where it would have no effect.
+
+    Args:
+        spec: the scene.
+        where: its file or name, for the message.
+        instead: where the lights come from and how to choose them, for the message.
+
+    Raises:
+        InputError: if the scene has a ``[light]`` table.
+    """
+    if spec.light is not None:
+        raise InputError(f"{where}: a [light] table found, which has no effect here: {instead}; remove it")
     return spec
 
 
@@ -159,7 +176,9 @@ def check_scene(spec: SceneSpec, where: str) -> None:
     }
     limits |= {f"camera.focal[{k}]": (value, 22.0, 1000.0) for k, value in enumerate(spec.camera.focal or ())}
     limits |= {f"head.depth[{k}]": (value, 0.5, 2.0) for k, value in enumerate(spec.head.depth)}
-    limits |= {f"light.{key}": limit for key, limit in spec.light.limits().items()}
+    if spec.light is not None:
+        limits |= {f"light.{key}": limit for key, limit in spec.light.limits().items()}
+        spec.light.weights()
     limits |= {f"albedo[{k}]": (value, 0.0, 1.0) for k, value in enumerate(spec.albedo or ())}
     for key, (value, low, high) in limits.items():
         if not low <= value <= high:

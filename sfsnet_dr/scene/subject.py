@@ -13,7 +13,7 @@ import sfsnet_dr
 from sfsnet_dr.core.errors import InputError, nearest
 from sfsnet_dr.scene.faces.face import sample_face
 from sfsnet_dr.scene.mesh import SHAPES, Mesh
-from sfsnet_dr.scene.spec import CameraSpec, SceneSpec, load_scene
+from sfsnet_dr.scene.spec import CameraSpec, SceneSpec, load_scene, refuse_light
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,9 +88,11 @@ def load_spec_by_name(scene: Path | str, model_path: Path | str | None = None) -
         model_path: where the scene's face model lies, in place of what the file says.
 
     Raises:
-        InputError: as ``find_scene`` and ``load_scene``.
+        InputError: as ``find_scene`` and ``load_scene``, or for a scene with a ``[light]`` table.
     """
-    spec = load_scene(find_scene(scene))
+    spec = refuse_light(
+        load_scene(find_scene(scene)), scene, "the command chooses the lights (--lights, or its own file)"
+    )
     return spec if model_path is None else replace(spec, model_path=str(model_path))
 
 

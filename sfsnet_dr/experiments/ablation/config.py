@@ -14,11 +14,14 @@ from sfsnet_dr.core.conventions import FACE_SIZE
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.data.mixed_batch import RealOptions
 from sfsnet_dr.report.record import dotted
-from sfsnet_dr.scene.spec import SceneSpec, check_scene, load_scene
+from sfsnet_dr.scene.spec import SceneSpec, check_scene, load_scene, refuse_light
 from sfsnet_dr.train.config import Recipe, lit_by, read_recipe
 
 #: First seed of the faces that networks are measured on, beyond any that one is trained on.
 HELD_SEED: Final = 1_000_000
+
+
+_RECIPE_LIGHTS = "training images are lit as the recipe's [data.light] says"
 
 
 @dataclass(frozen=True)
@@ -205,7 +208,8 @@ def read_ablations(
     except InputError as error:
         raise InputError(f"{error}" if str(error).startswith(str(path)) else f"{path}: {error}") from error
     recipe = lit_by(read_recipe(path.parent / spec.recipe), environments)
-    scene = load_scene(path.parent / spec.scene)
+    file = path.parent / spec.scene
+    scene = refuse_light(load_scene(file), file, _RECIPE_LIGHTS)
     cases, left_out = [], {}
     for variant in spec.variants:
         case = _case(f"{path}: variants: {variant.name}", variant, recipe, scene, model_path)
@@ -226,7 +230,7 @@ def _case(where: str, variant: Variant, recipe: Recipe, scene: SceneSpec, model_
         own_scene = replace(own_scene, model_path=str(model_path))
     price = changed(own_scene, variant.price, f"{where}: price") if variant.price else None
     for part in (own_scene, price or own_scene):
-        check_scene(part, where)
+        check_scene(refuse_light(part, where, _RECIPE_LIGHTS), where)
     _check_alike(where, own_recipe, recipe, own_scene)
     return Case(variant, own_recipe, own_scene, price)
 

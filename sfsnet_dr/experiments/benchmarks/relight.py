@@ -39,6 +39,7 @@ from sfsnet_dr.scene.lights.sampling import sample_direction, sample_scene_light
 from sfsnet_dr.scene.lights.spec import LightKind, LightSpec
 from sfsnet_dr.scene.mesh import Mesh
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
+from sfsnet_dr.scene.scene_cache import SceneCache
 from sfsnet_dr.scene.spec import FACE_SHAPES, CameraSpec, SceneSpec
 from sfsnet_dr.sh.basis import sh_basis
 from sfsnet_dr.sh.projection import equirect_directions
@@ -86,32 +87,6 @@ class FaceErrors:
     coverage: npt.NDArray[np.float32]
 
 
-class Studio:
-    """Scenes by what lights them, each built once and given every face in turn."""
-
-    def __init__(self, gloss: bool) -> None:
-        self._gloss = gloss
-        self._scenes: dict[tuple[bool, int], SurfaceScene] = {}
-        self._shown: dict[tuple[bool, int], Mesh] = {}
-
-    def place(self, view: _View, light: Light) -> SurfaceScene:
-        """A scene with a face, a camera and a light."""
-        mesh, camera = view.mesh, view.camera
-        key = (light.environment is not None, len(light.directional))
-        scene = self._scenes.get(key)
-        if scene is None or not scene.fits(mesh, camera):
-            scene = SurfaceScene(mesh, camera, light.directional, environment=key[0], gloss=self._gloss)
-        else:
-            scene.set_camera(camera)
-            scene.set_directional(light.directional)
-            if self._shown[key] is not mesh:
-                scene.set_mesh(mesh)
-        self._scenes[key], self._shown[key] = scene, mesh
-        if light.environment is not None:
-            scene.set_environment(light.environment)
-        return scene
-
-
 class RelitFaces:
     """Measures faces one after another.
 
@@ -122,7 +97,7 @@ class RelitFaces:
 
     def __init__(self, spec: SceneSpec, kinds: Sequence[LightKind]) -> None:
         self._spec, self._kinds = spec, kinds
-        self._whole, self._mirror = Studio(spec.has_gloss), Studio(True)
+        self._scenes = SceneCache(capacity=16)  # of all kinds of lights, with and without gloss
 
     def measure(self, seed: int) -> FaceErrors:
         """The face of a seed."""
@@ -130,13 +105,13 @@ class RelitFaces:
         view = _View(face.mesh, face.pose.camera(spec.camera), seed)
         directions = _directions(seed, spec.sampling.directions)
         options = CaptureOptions(MAP_ORDER, spec.sampling.bounces, spec.sampling.paths)
-        scene = self._whole.place(view, Light("white", np.ones((*MAP_SIZE, 3))))
+        scene = self._show(view, Light("white", np.ones((*MAP_SIZE, 3))), spec.has_gloss)
         pair = [capture(scene, spec.sampling.transport, 2 * seed + k, options, directions) for k in range(2)]
         black, found = view.black(), []
         for number, kind in enumerate(KINDS):
             if kind in self._kinds:
                 rng = np.random.default_rng((seed, _LIGHT, number))
-                light = _light(spec.light, kind, rng, directions)
+                light = _light(_lights_of(spec), kind, rng, directions)
                 found.append(self._measure(pair, directions, light, view, black))
         squared, relit, traced = (np.stack(column) for column in zip(*found, strict=True))
         return FaceErrors(squared, relit.astype(np.float32), traced.astype(np.float32), pair[0].coverage)
@@ -147,13 +122,13 @@ class RelitFaces:
         """Squared errors (len(PARTS),) under one light, and the two images."""
         weights, depth = mixture(light, directions, MAP_ORDER), self._spec.sampling.bounces + 2
         relit = [relight_scene(maps.transport, maps.gloss, maps.lamps, weights) for maps in pair]
-        traced, cut = (self._trace(self._whole, view, light, end) for end in (-1, depth))
+        traced, cut = (self._trace(view, light, end) for end in (-1, depth))
         smooth, gloss, mirror = cut, [np.zeros_like(relit[0])] * 2, [np.zeros_like(relit[0])] * 2
         if light.environment is not None:
-            smooth = self._trace_smooth(self._whole, view, light, depth)
+            smooth = self._trace_smooth(view, light, depth)
             if self._spec.has_gloss:
                 gloss = [_gloss(maps, weights) for maps in pair]
-                mirror = self._trace_smooth(self._mirror, black, replace(light, directional=()), 2)
+                mirror = self._trace_smooth(black, replace(light, directional=()), 2)
         inside = pair[0].mask > 0
 
         def squared(one: Sequence[Array], other: Sequence[Array]) -> float:
@@ -170,28 +145,35 @@ class RelitFaces:
         power = float((traced[0] * traced[1])[inside].mean())
         return np.array([found[part] for part in PARTS]) / power, relit[0], (traced[0] + traced[1]) / 2
 
-    def _trace(self, studio: Studio, view: _View, light: Light, depth: int) -> list[Array]:
+    def _show(self, view: _View, light: Light, gloss: bool) -> SurfaceScene:
+        return self._scenes.show(view.mesh, view.camera, light, gloss=gloss)
+
+    def _trace(self, view: _View, light: Light, depth: int) -> list[Array]:
         """Two images of independent noise; other lights and depths share it as far as paths are the same."""
-        scene, samples = studio.place(view, light), self._spec.sampling.reference
+        scene, samples = self._show(view, light, self._spec.has_gloss), self._spec.sampling.reference
         return [path_trace(scene, samples, 2 * view.seed + k, depth).mean for k in range(2)]
 
-    def _trace_smooth(self, studio: Studio, view: _View, light: Light, depth: int) -> list[Array]:
+    def _trace_smooth(self, view: _View, light: Light, depth: int) -> list[Array]:
         """The same with the environment's expansion in place of the environment.
 
         Where the expansion is negative it is no light: there its opposite is traced and taken away.
         """
         texels = sh_basis(equirect_directions(*MAP_SIZE), MAP_ORDER)
         expansion = texels @ light.environment_coefficients(MAP_ORDER).values
-        images = self._trace(studio, view, replace(light, environment=np.maximum(expansion, 0.0)), depth)
+        images = self._trace(view, replace(light, environment=np.maximum(expansion, 0.0)), depth)
         if expansion.min() < 0:
             below = Light("negative", np.maximum(-expansion, 0.0))
-            images = _less(images, self._trace(studio, view, below, depth))
+            images = _less(images, self._trace(view, below, depth))
         return images
 
 
 def _directions(seed: int, count: int) -> Array:
     rng = np.random.default_rng((seed, _DIRECTIONS))
     return np.array([sample_direction(rng) for _ in range(count)]).reshape(-1, 3)
+
+
+def _lights_of(spec: SceneSpec) -> LightSpec:
+    return spec.light or LightSpec()
 
 
 def _light(spec: LightSpec, kind: LightKind, rng: np.random.Generator, directions: Array) -> Light:
@@ -257,7 +239,7 @@ def bench_relight(
         raise InputError(f"bench relight: {faces} faces from seed {seed} found, at least 1 and 0 are needed")
     if spec.sampling.reference < 2:
         raise InputError(f"bench relight: {spec.sampling.reference} paths found, at least 2 are needed")
-    kinds = [kind for kind in KINDS if kind != "hdr" or spec.light.environments is not None]
+    kinds = [kind for kind in KINDS if kind != "hdr" or _lights_of(spec).environments is not None]
     folder, key = output_dir(out), fingerprint(identity(spec))
     measure, found = RelitFaces(spec, kinds), []
     for face in range(seed, seed + faces):

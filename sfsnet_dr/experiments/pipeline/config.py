@@ -10,7 +10,7 @@ from typing import Final
 from sfsnet_dr.core.config import load_toml
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.data.normal_dataset import load_learnt
-from sfsnet_dr.scene.spec import SceneSpec, load_scene
+from sfsnet_dr.scene.spec import SceneSpec, load_scene, refuse_light
 from sfsnet_dr.train.config import Recipe, lit_by, read_recipe
 
 #: Networks in the order in which they are trained; photographs are labelled by the first, before the second.
@@ -128,7 +128,7 @@ def read_plan(
         recipes[FINE_TUNED] = lit_by(read_recipe(folder / f"{FINE_TUNED}.toml"), environments)
         load_learnt(surfaces, recipes[FINE_TUNED].surfaces, recipes[FINE_TUNED].data.view)
     _check_alike(folder, recipes)
-    scene = SceneSpec("faces", "anny") if spec.scene is None else load_scene(path.parent / spec.scene)
+    scene = SceneSpec("faces", "anny") if spec.scene is None else _load_scene(path.parent / spec.scene)
     return Plan(spec, recipes, scene, Path(out), tuple(data), photographs, surfaces)
 
 
@@ -152,3 +152,7 @@ def _check_alike(folder: Path, recipes: dict[str, Recipe]) -> None:
         )
     if first.real.share:
         raise InputError(f"{folder / LABELLER}.toml: real.share above 0 found; it labels the photographs")
+
+
+def _load_scene(path: Path) -> SceneSpec:
+    return refuse_light(load_scene(path), path, "training images are lit as the recipe's [data.light] says")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -14,12 +15,14 @@ from sfsnet_dr.core.color import delta_e_2000
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.experiments.validation.error_sources import Cause, Part, Step, split
 from sfsnet_dr.experiments.validation.models import Known, Rung, know, ladder_rungs
-from sfsnet_dr.experiments.validation.references import FineMaps, Levels, Pair, Stage, trace_levels
+from sfsnet_dr.experiments.validation.references import FineMaps, Levels, Pair, trace_levels
 from sfsnet_dr.metrics.image import flip, has_flip, mae_8bit
 from sfsnet_dr.metrics.noise_free import RelativeRmse, relative_rmse, worst_block
 from sfsnet_dr.render.path_tracer import path_trace
 from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.lights.presets import require_light
+from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
+from sfsnet_dr.scene.scene_cache import SceneCache
 from sfsnet_dr.scene.subject import Subject
 
 Image = npt.NDArray[np.float64]
@@ -161,12 +164,13 @@ def climb(
         raise InputError(
             f"{subject.spec.name}: no surface in view: no pixel is covered whole by what is counted"
         )
-    stage, fine = Stage(subject), FineMaps.of(subject, known.mask, seed)
+    scenes, fine = SceneCache(), FineMaps.of(subject, known.mask, seed)
     samples = subject.spec.sampling.reference if samples is None else samples
     results = []
     for light in lights:
-        levels = trace_levels(stage, light, samples, seed)
-        results.append(_measure(light, levels, known, fine, rungs, stage, seed))
+        levels = trace_levels(scenes, subject, light, samples, seed)
+        scene = scenes.show(subject.mesh, subject.camera, light, gloss=subject.spec.has_gloss)
+        results.append(_measure(light, levels, known, fine, rungs, partial(_path_times, scene, seed)))
         on_light(light.name)
     return Ladder(subject, known, tuple(results))
 
@@ -190,8 +194,7 @@ def _measure(
     known: Known,
     fine: FineMaps,
     rungs: tuple[Rung, ...],
-    stage: Stage,
-    seed: int,
+    times: Callable[[float], tuple[PathTime, ...]],
 ) -> LightResult:
     complete = _twice(fine.complete(light))
     rows = []
@@ -207,7 +210,7 @@ def _measure(
     return LightResult(
         light=light,
         rows=tuple(rows),
-        paths=_path_times(stage, light, variance / power, seed),
+        paths=times(variance / power),
         truth=levels.truth,
         plain=levels.diffuse,
         floor=errors_of(_twice(levels.truth.first), _twice(levels.truth.second), known.mask),
@@ -265,8 +268,8 @@ def _limit(name: str, key: str, steps: list[Step], levels: Levels, mask: Image) 
     return Row(name, key, "path", errors_of(image, levels.truth, mask), split(steps, mask), image.mean)
 
 
-def _path_times(stage: Stage, light: Light, variance: float, seed: int) -> tuple[PathTime, ...]:
-    scene, found = stage.lit(light, stage.subject.spec.has_gloss), []
+def _path_times(scene: SurfaceScene, seed: int, variance: float) -> tuple[PathTime, ...]:
+    found = []
     for samples in PATH_SAMPLES:
         begin = time.perf_counter()
         path_trace(scene, samples, seed)

@@ -20,6 +20,7 @@ from sfsnet_dr.render.path_tracer import Reference, path_trace
 from sfsnet_dr.scene.lights.equirect import MAP_SIZE, lookup
 from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
+from sfsnet_dr.scene.scene_cache import SceneCache
 from sfsnet_dr.scene.subject import Subject
 from sfsnet_dr.sh.projection import equirect_directions, equirect_solid_angles
 
@@ -63,43 +64,24 @@ class Levels:
     samples: int
 
 
-class Stage:
-    """A subject's Mitsuba scenes, kept from one light to the next where the kind of light is the same."""
-
-    def __init__(self, subject: Subject) -> None:
-        self.subject = subject
-        self._scenes: dict[tuple[bool, int, bool], SurfaceScene] = {}
-
-    def lit(self, light: Light, gloss: bool) -> SurfaceScene:
-        """The scene under a light, with or without the glossy lobes; good until the next call."""
-        key = (gloss, len(light.directional), light.environment is not None)
-        if key not in self._scenes:
-            self._scenes[key] = SurfaceScene(
-                self.subject.mesh, self.subject.camera, light.directional, environment=key[2], gloss=gloss
-            )
-        scene = self._scenes[key]
-        if light.directional:
-            scene.set_directional(light.directional)
-        if light.environment is not None:
-            scene.set_environment(light.environment)
-        return scene
-
-
-def trace_levels(stage: Stage, light: Light, samples: int, seed: int) -> Levels:
+def trace_levels(scenes: SceneCache, subject: Subject, light: Light, samples: int, seed: int) -> Levels:
     """Trace all levels.
 
     Args:
-        stage: of the subject.
+        scenes: kept from one light to the next.
+        subject: what is seen.
         light: the light.
         samples: paths per pixel of each image.
         seed: any non-negative integer.
     """
-    glossy = stage.subject.spec.has_gloss
-    plain = stage.lit(light, gloss=False)
+    glossy = subject.spec.has_gloss
+    plain = scenes.show(subject.mesh, subject.camera, light, gloss=False)
     (direct, bounce, every), noisy = _pairs(plain, samples, seed, (_DIRECT, _BOUNCE, _ALL))
     glossy_bounce, truth = None, every
     if glossy:
-        (glossy_bounce, truth), noisy = _pairs(stage.lit(light, gloss=True), samples, seed, (_BOUNCE, _ALL))
+        (glossy_bounce, truth), noisy = _pairs(
+            scenes.show(subject.mesh, subject.camera, light, gloss=True), samples, seed, (_BOUNCE, _ALL)
+        )
     variance = (noisy[0].variance + noisy[1].variance) * (samples / 2)
     return Levels(direct, bounce, every, glossy_bounce, truth, variance, samples)
 
