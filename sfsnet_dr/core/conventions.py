@@ -1,4 +1,4 @@
-"""Axes, frames and units that every part shares. The pins are in ``tests/test_conventions.py``.
+"""Axes, frames and units that every part shares. The pins are in ``tests/core/test_conventions.py``.
 
 Convention:
     Camera frame = world frame of every scene: right-handed, x to the image right, y up, z toward the

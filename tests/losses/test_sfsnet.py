@@ -8,8 +8,9 @@ import torch
 
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.data.batch import FaceBatch
+from sfsnet_dr.data.mixed_batch import RealBatch
 from sfsnet_dr.losses.reconstruction import Backend
-from sfsnet_dr.losses.sfsnet import LossTerms, LossWeights, Trust, masked_l1, sfsnet_loss
+from sfsnet_dr.losses.sfsnet import LossTerms, LossWeights, Trust, light_trust, masked_l1, sfsnet_loss
 from sfsnet_dr.models.base import Decomposition
 from sfsnet_dr.render.shading_numpy import f_render
 
@@ -117,3 +118,12 @@ def test_bad_shapes_are_named() -> None:
         sfsnet_loss(prediction, target, trust=trust._replace(pixels=target.mask[:1]))
     with pytest.raises(InputError, match=r"trust\.light: shape"):
         sfsnet_loss(prediction, target, trust=trust._replace(light=torch.ones(1)))
+
+
+def test_a_light_counts_less_from_a_mean_square_of_one_on_and_only_where_scale_is_free() -> None:
+    squares = torch.tensor([0.25, 0.9, 1.0, 1.6, 4.0, 4.0])
+    light = squares.sqrt()[:, None].expand(6, 27)
+    free = torch.tensor([True, True, True, True, True, False])
+    faces = FaceBatch(*(torch.zeros(6, 1, 1, 1) for _ in range(5)))
+    real = RealBatch(faces, torch.ones(6, 1, 1, 1), free, torch.full((6,), 0.5))
+    torch.testing.assert_close(light_trust(light, real), torch.tensor([0.5, 0.5, 0.5, 0.3125, 0.125, 0.5]))

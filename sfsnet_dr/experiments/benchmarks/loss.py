@@ -9,6 +9,7 @@ from typing import Any, Final, NamedTuple
 import torch
 from torch import Tensor
 
+from sfsnet_dr.experiments.benchmarks.agreement import Result, require_agreement, value_and_gradients
 from sfsnet_dr.experiments.benchmarks.common import (
     Times,
     bandwidth_copy,
@@ -18,7 +19,7 @@ from sfsnet_dr.experiments.benchmarks.common import (
     contest,
     copier,
 )
-from sfsnet_dr.experiments.benchmarks.loss_variants import VARIANTS, run
+from sfsnet_dr.experiments.benchmarks.loss_variants import VARIANTS, check, run
 from sfsnet_dr.losses.reconstruction import reconstruction_l1
 from sfsnet_dr.report.record import Record, measured
 
@@ -72,6 +73,9 @@ def bench_loss(
     lines = writer.lines(sized, missing)
     if variants:
         inputs = example(VARIANT_SIZE)
+        expected = reference(inputs)
+        for name, variant in VARIANTS.items():
+            check(name, variant, inputs, expected)
         found = contest({name: run(variant, inputs) for name, variant in VARIANTS.items()}, rounds)
         records += [writer.time(f"loss.variant.{name}", times) for name, times in found.items()]
         lines += ["", "variants at " + "x".join(map(str, VARIANT_SIZE)) + ":"]
@@ -90,6 +94,13 @@ def example(size: tuple[int, int, int], seed: int = 0) -> Inputs:
     return normal, albedo, light, image, mask
 
 
+def reference(inputs: Inputs) -> Result:
+    """Value and gradients by torch in double precision: what every contender is held to."""
+    doubles = tuple(t.double() for t in inputs)
+    leaves = [t.requires_grad_() for t in doubles[:3]]
+    return value_and_gradients(_eager(*leaves, *doubles[3:]), leaves)
+
+
 def step(loss: Callable[..., Tensor], inputs: Inputs) -> Callable[[], Any]:
     """Forward and backward of a loss."""
     normal, albedo, light, image, mask = inputs
@@ -105,6 +116,10 @@ def _measure(size: tuple[int, int, int], rounds: int, compiled: bool) -> Sized:
     if compiled:
         torch.compiler.reset()
         contenders["torch_compile"] = step(torch.compile(_eager, dynamic=False), inputs)
+    expected = reference(inputs)
+    for name, call in contenders.items():
+        gradients = call()
+        require_agreement(f"bench loss: {name}", [None, *gradients], list(expected))  # type: ignore[arg-type]
     traffic = BYTES * size[0] * size[1] * size[2]
     contenders |= {"same_size_copy": copier(traffic), "copy": bandwidth_copy()}
     times = contest(contenders, rounds)

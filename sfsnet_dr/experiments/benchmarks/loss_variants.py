@@ -14,6 +14,7 @@ from typing import Any, Final, NamedTuple
 import torch
 from torch import Tensor
 
+from sfsnet_dr.experiments.benchmarks.agreement import Result, require_agreement
 from sfsnet_dr.losses.reconstruction_drjit import value_and_gradients
 from sfsnet_dr.losses.reconstruction_drjit_reference import masked_l1_sum
 from sfsnet_dr.render.drjit_kernel import Call, Shaded, Signature, frozen
@@ -23,16 +24,44 @@ from sfsnet_dr.render.shading_torch import unit
 from sfsnet_dr.scene.jit import dr
 from sfsnet_dr.sh.basis_torch import sh_basis
 
+#: An upstream gradient that the kernel did not expect.
+_UPSTREAM: Final = 0.3
+
 Loss = Callable[[Tensor, Tensor, Tensor, Tensor, Tensor], Any]
 
 
+def _as_result(output: Any, mask: Tensor) -> Result:
+    loss, gradients = output
+    return Result(loss, *gradients)
+
+
 class Variant(NamedTuple):
-    """One way: what it does, and under which setting of Dr.Jit. Inputs are as for ``reconstruction_l1``."""
+    """One way to compute the loss and its gradients.
+
+    Attributes:
+        text: what it does, for the table.
+        compute: takes inputs as ``reconstruction_l1`` does.
+        setting: of Dr.Jit while it runs.
+        channels_last: the memory format of its inputs.
+        result: value and gradients of the mean loss from what ``compute`` gave and the mask, to be held to
+            the reference before it is timed.
+    """
 
     text: str
     compute: Loss
     setting: Callable[[], AbstractContextManager[Any]] = nullcontext
     channels_last: bool = False
+    result: Callable[[Any, Tensor], Result] = _as_result
+
+
+def check(name: str, variant: Variant, inputs: tuple[Tensor, ...], expected: Result) -> None:
+    """Hold a variant to the reference on some inputs.
+
+    Raises:
+        RunError: if its value or a gradient differs; see ``require_agreement``.
+    """
+    found = variant.result(run(variant, inputs)(), inputs[-1])
+    require_agreement(f"bench loss: variant {name!r}", found, [part for part in expected if part is not None])
 
 
 def run(variant: Variant, inputs: tuple[Tensor, ...]) -> Callable[[], Any]:
@@ -100,6 +129,31 @@ def _image_by_image(*inputs: Tensor) -> list[Any]:
     return [value_and_gradients(1, *(t[b : b + 1] for t in inputs)) for b in range(batch)]
 
 
+def _without_light(output: Any, mask: Tensor) -> Result:
+    loss, of_normal, of_albedo, _ = output
+    return Result(loss, of_normal, of_albedo, None)
+
+
+def _of_images(output: Any, mask: Tensor) -> Result:
+    """Each image's loss is the mean over its own mask; the batch's is over all of them."""
+    counts = COLOURS * mask.sum((1, 2, 3))
+    shares = counts.clamp_min(1) / counts.sum().clamp_min(1)
+    loss = sum(share * loss for share, (loss, _) in zip(shares, output, strict=True))
+    parts = zip(*(gradients for _, gradients in output), strict=True)
+    whole = (torch.cat([s * g for s, g in zip(shares, part, strict=True)]) for part in parts)
+    return Result(loss, *whole)
+
+
+def _before_rescaling(output: Any, mask: Tensor) -> Result:
+    loss, gradients = output
+    return Result(loss, *(g / _UPSTREAM for g in gradients))
+
+
+def _of_sum(output: Any, mask: Tensor) -> Result:
+    count = (COLOURS * mask.sum()).clamp_min(1)
+    return Result(None, *(g / count for g in output))
+
+
 def _wrapped(normal: Tensor, albedo: Tensor, light: Tensor, image: Tensor, mask: Tensor) -> Any:
     leaves = [t.detach().requires_grad_() for t in (normal, albedo, light)]
     return torch.autograd.grad(masked_l1_sum(*leaves, image, mask), leaves)
@@ -107,7 +161,7 @@ def _wrapped(normal: Tensor, albedo: Tensor, light: Tensor, image: Tensor, mask:
 
 def _rescaled(*inputs: Tensor) -> Any:
     loss, gradients = value_and_gradients(1, *inputs)
-    return loss, [g.mul_(0.3) for g in gradients]
+    return loss, [g.mul_(_UPSTREAM) for g in gradients]
 
 
 def _tuned(**tuning: int) -> Loss:
@@ -142,11 +196,15 @@ VARIANTS: Final[dict[str, Variant]] = {
     "run_8": Variant("runs of 8 packets", _tuned(run=8)),
     "run_128": Variant("runs of 128 packets, one group an image", _tuned(run=128)),
     "matrix_product": Variant("27 sums by a matrix product in torch", with_matrix_product),
-    "no_light_sums": Variant("without the light's gradient (incomplete)", _with_weights),
-    "rescaled": Variant("another upstream gradient than expected: one more pass", _rescaled),
-    "image_by_image": Variant("one launch an image", _image_by_image),
+    "no_light_sums": Variant(
+        "without the light's gradient (incomplete)", _with_weights, result=_without_light
+    ),
+    "rescaled": Variant(
+        "another upstream gradient than expected: one more pass", _rescaled, result=_before_rescaling
+    ),
+    "image_by_image": Variant("one launch an image", _image_by_image, result=_of_images),
     "traced": Variant("traced again in every call, without dr.freeze", _tuned(), _flag_off("KernelFreezing")),
     "no_fast_math": Variant("FastMath off", _tuned(), _flag_off("FastMath")),
     "one_thread": Variant("one thread", _tuned(), _one_thread),
-    "wrapped": Variant("the plain twin: dr.wrap, block sums for the light", _wrapped),
+    "wrapped": Variant("the plain twin: dr.wrap, block sums for the light", _wrapped, result=_of_sum),
 }

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from sfsnet_dr.experiments.benchmarks.agreement import require_agreement, value_and_gradients
 from sfsnet_dr.experiments.benchmarks.common import (
     Times,
     bandwidth_copy,
@@ -19,7 +20,7 @@ from sfsnet_dr.experiments.benchmarks.common import (
     contest,
     copier,
 )
-from sfsnet_dr.render import shading_drjit, shading_torch
+from sfsnet_dr.render import shading_drjit, shading_numpy, shading_torch
 from sfsnet_dr.report.record import Record, measured
 
 #: Batch, height, width at which the forms are compared.
@@ -57,6 +58,8 @@ def bench_render(command: str, *, rounds: int = 15, compiled: bool = True) -> tu
     if missing is None:
         torch.compiler.reset()
         forms["torch_compile"] = torch.compile(shading_torch.f_render, dynamic=False)
+    for name, form in forms.items():
+        check(name, form, example(SIZE))
     inputs, pixels = example(SIZE), SIZE[0] * SIZE[1] * SIZE[2]
     contenders: dict[str, Callable[[], Any]] = {name: _rendering(f, inputs) for name, f in forms.items()}
     contenders |= {f"{name}_gradient": _step(f, inputs) for name, f in forms.items()}
@@ -90,6 +93,21 @@ def example(size: tuple[int, int, int], seed: int = 0) -> tuple[Tensor, Tensor, 
     normal = torch.randn(batch, 3, height, width, generator=rng)
     albedo = torch.rand(batch, 3, height, width, generator=rng)
     return normal, albedo, torch.randn(batch, 27, generator=rng)
+
+
+def check(name: str, form: Render, inputs: tuple[Tensor, Tensor, Tensor]) -> None:
+    """Hold the image and its gradients to NumPy's and torch's in double precision.
+
+    Raises:
+        RunError: if they differ; see ``require_agreement``.
+    """
+    doubles = [t.double().requires_grad_() for t in inputs]
+    upstream = torch.ones_like(inputs[0])
+    expected = value_and_gradients(shading_torch.f_render(*doubles), doubles, upstream.double())
+    image = torch.from_numpy(shading_numpy.f_render(*(t.detach().numpy() for t in doubles)))
+    leaves = [t.detach().requires_grad_() for t in inputs]
+    found = value_and_gradients(form(*leaves), leaves, upstream)
+    require_agreement(f"bench render: {name}", found, [image, *expected[1:]])  # type: ignore[list-item]
 
 
 def page_faults(call: Callable[[], Any]) -> float:

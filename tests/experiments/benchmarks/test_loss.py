@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import pytest
+import torch
 
+from sfsnet_dr.core.errors import RunError
 from sfsnet_dr.experiments.benchmarks import common as contests
 from sfsnet_dr.experiments.benchmarks import loss, shading
+from sfsnet_dr.experiments.benchmarks.agreement import NAMES, require_agreement
 from sfsnet_dr.experiments.benchmarks.common import Times, contest
-from sfsnet_dr.experiments.benchmarks.loss_variants import VARIANTS, run
+from sfsnet_dr.experiments.benchmarks.loss_variants import VARIANTS, check
+from sfsnet_dr.losses.reconstruction import reconstruction_l1
+from sfsnet_dr.render import shading_drjit, shading_torch
 
 
 def test_ratio_is_taken_round_by_round() -> None:
@@ -76,7 +82,59 @@ def test_bench_render() -> None:
     assert any("bound by" in line for line in lines)
 
 
+INPUTS = loss.example((2, 16, 16))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", VARIANTS)
-def test_every_variant_runs(name: str) -> None:
-    run(VARIANTS[name], loss.example((2, 16, 16)))()
+def test_every_variant_agrees_with_the_reference(name: str) -> None:
+    check(name, VARIANTS[name], INPUTS, loss.reference(INPUTS))
+
+
+def test_the_variant_in_use_agrees_with_the_reference() -> None:
+    check("used", VARIANTS["used"], INPUTS, loss.reference(INPUTS))
+
+
+@pytest.mark.parametrize("part", [1, 2, 3])
+def test_a_wrong_scale_of_a_gradient_stops_the_bench(part: int) -> None:
+    def compute(*inputs: torch.Tensor) -> Any:
+        value, gradients = VARIANTS["used"].compute(*inputs)
+        return value, [g * (2 if k + 1 == part else 1) for k, g in enumerate(gradients)]
+
+    wrong = VARIANTS["used"]._replace(compute=compute)
+    with pytest.raises(RunError, match=f"variant 'twice': {NAMES[part]} differs from the reference by 1 "):
+        check("twice", wrong, INPUTS, loss.reference(INPUTS))
+
+
+def test_a_wrong_value_stops_the_bench() -> None:
+    def compute(*inputs: torch.Tensor) -> Any:
+        value, gradients = VARIANTS["used"].compute(*inputs)
+        return 1.1 * value, gradients
+
+    with pytest.raises(RunError, match=r"value differs from the reference by 0\.1 "):
+        check("more", VARIANTS["used"]._replace(compute=compute), INPUTS, loss.reference(INPUTS))
+
+
+@pytest.mark.usefixtures("small")
+def test_bench_loss_checks_before_it_times(monkeypatch: pytest.MonkeyPatch) -> None:
+    def wrong(*inputs: Any, backend: str = "drjit") -> Any:
+        value = reconstruction_l1(*inputs, backend="torch")
+        return 2 * value if backend == "drjit" else value
+
+    monkeypatch.setattr(loss, "reconstruction_l1", wrong)
+    with pytest.raises(RunError, match="bench loss: drjit: gradient of normals differs"):
+        loss.bench_loss("command", rounds=1, compiled=False, variants=False)
+
+
+@pytest.mark.usefixtures("small")
+def test_bench_render_checks_before_it_times(monkeypatch: pytest.MonkeyPatch) -> None:
+    wrong = shading_torch.f_render
+    monkeypatch.setattr(shading_drjit, "f_render", lambda n, a, light: wrong(n, a, 0.5 * light))
+    with pytest.raises(RunError, match="bench render: drjit: value differs"):
+        shading.bench_render("command", rounds=1, compiled=False)
+
+
+def test_nan_is_no_agreement() -> None:
+    nan = torch.full((3,), float("nan"))
+    with pytest.raises(RunError, match="by inf"):
+        require_agreement("x", [nan, None, None, None], [torch.ones(3)] * 4)
