@@ -144,7 +144,7 @@ def render_file(spec: SceneSpec, scratch: Path | None, seed: int) -> bytes:
 
 def render_bundle(spec: SceneSpec, seed: int) -> Bundle:
     """Maps, transport and a path-traced reference of one seeded face."""
-    from sfsnet_dr.render.aovs import CaptureOptions, capture
+    from sfsnet_dr.render.aovs import TransportOptions, render_aovs
     from sfsnet_dr.render.path_tracer import path_trace
     from sfsnet_dr.scene.faces.face import sample_face
     from sfsnet_dr.scene.scene_cache import SceneCache
@@ -154,9 +154,9 @@ def render_bundle(spec: SceneSpec, seed: int) -> Bundle:
     global _scenes
     _scenes = _scenes or SceneCache()
     directions = _sample_directions(seed, sampling.directions)
-    options = CaptureOptions(MAP_ORDER, sampling.bounces, sampling.paths)
+    options = TransportOptions(MAP_ORDER, sampling.bounces, sampling.paths)
     scene = _scenes.show(face.mesh, camera, gloss=spec.has_gloss)
-    maps = capture(scene, sampling.transport, seed, options, directions)
+    maps = render_aovs(scene, sampling.transport, seed, options, directions)
     light, coefficients = _reference_light(spec, seed, directions)
     scene = _scenes.show(face.mesh, camera, light, gloss=spec.has_gloss)
     reference = path_trace(scene, sampling.reference, seed, sampling.depth)

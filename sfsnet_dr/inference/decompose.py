@@ -24,9 +24,9 @@ from sfsnet_dr.data.alignment import Eyes, face_ellipse_mask, inside, read_eyes,
 from sfsnet_dr.data.pseudo_labels import Values
 from sfsnet_dr.data.transforms.crop import WHOLE, View
 from sfsnet_dr.inference.methods import ask
-from sfsnet_dr.inference.outputs import Decomposed, write_decomposed
+from sfsnet_dr.inference.outputs import Decomposition, write_decomposition
 from sfsnet_dr.metrics.image import mae_8bit
-from sfsnet_dr.models.inference import load_trained
+from sfsnet_dr.models.inference import load_model
 from sfsnet_dr.models.shipped import weights_path
 from sfsnet_dr.render.shading_numpy import shading
 from sfsnet_dr.sh.coefficients import Shading
@@ -119,7 +119,7 @@ def decompose(
     *,
     eyes: Eyes | None = None,
     mask: Path | None = None,
-) -> list[Decomposed]:
+) -> list[Decomposition]:
     """Decompose photographs and write a folder for each: pictures, a sheet of them and one EXR.
 
     Everything is read and checked before anything is written; a face's folder is written whole or not at all.
@@ -140,19 +140,19 @@ def decompose(
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"images: {names.count(name)} are called {name!r}, and would share a folder")
-    trained = load_trained(weights)
+    trained = load_model(weights)
     read = [read_picture(path, eyes, mask) for path in images]
     folder = output_dir(out)
     faces = take_apart(trained.model, read, view=trained.view, values=trained.values)
     metadata = {"sfsnet_dr:weights_sha256": provenance.sha256(weights_path(weights))}
     for face in faces:
-        write_decomposed(folder, face, metadata)
+        write_decomposition(folder, face, metadata)
     return faces
 
 
 def take_apart(
     model: nn.Module, read: Sequence[Picture], *, view: View = WHOLE, values: Values = "linear"
-) -> list[Decomposed]:
+) -> list[Decomposition]:
     """Run the network on pictures of the canonical frame; writes nothing.
 
     Args:
@@ -170,7 +170,7 @@ def take_apart(
     image = albedo * shade if values == "linear" else srgb_to_linear(albedo * shade) / gain.double().numpy()
     maps = [np.moveaxis(part, 1, -1) for part in (normal, albedo, shade, image)]
     return [
-        Decomposed(
+        Decomposition(
             name=picture.name,
             image=picture.image,
             mask=np.asarray(picture.mask, np.float32),
@@ -185,7 +185,7 @@ def take_apart(
     ]
 
 
-def reconstruction_error(face: Decomposed) -> float:
+def reconstruction_error(face: Decomposition) -> float:
     """Mean absolute difference of reconstruction and input on the face, 8-bit sRGB units.
 
     It says how well the three parts explain the picture, not whether they are right: a wrong albedo with the

@@ -23,8 +23,8 @@ from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.data.pseudo_labels import Values
 from sfsnet_dr.data.transforms.camera import metering_gain
 from sfsnet_dr.data.transforms.crop import View
-from sfsnet_dr.models.base import Decomposition
-from sfsnet_dr.models.inference import load_trained, predict, predict_both_ways
+from sfsnet_dr.models.base import NetworkOutput
+from sfsnet_dr.models.inference import load_model, predict, predict_with_flip_tta
 from sfsnet_dr.render.shading_torch import shading, unit
 from sfsnet_dr.sh.basis_torch import sh_basis
 
@@ -39,7 +39,7 @@ def beyond(masks: Tensor, view: View) -> Tensor:
     return ((masks > 0.5) & (view.covered(masks.shape[-1]).to(masks.device) < 0.5)).flatten(1).any(1)
 
 
-def joined(near: Decomposition, wide: Decomposition, masks: Tensor, view: View) -> Decomposition:
+def joined(near: NetworkOutput, wide: NetworkOutput, masks: Tensor, view: View) -> NetworkOutput:
     """The answer for the view, and around it the answer for the whole frame.
 
     Args:
@@ -55,7 +55,7 @@ def joined(near: Decomposition, wide: Decomposition, masks: Tensor, view: View) 
     both = masks * view.covered(masks.shape[-1]).to(masks)
     sums = [(both * part.albedo).flatten(1).sum(1).clamp_min(1e-6) for part in (near, wide)]
     factor = (sums[0] / sums[1]).clamp(1 / _MOST, _MOST)[:, None, None, None]
-    return Decomposition(
+    return NetworkOutput(
         unit(share * near.normal + (1 - share) * wide.normal),
         share * near.albedo + (1 - share) * factor * wide.albedo,
         near.light,
@@ -137,7 +137,7 @@ class NetworkMethod:
 
     def __init__(self, name: str, weights: Path | str, *, once: bool = False) -> None:
         self.name, self.once = name, once
-        self.trained = load_trained(weights)
+        self.trained = load_model(weights)
 
     def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Answer:
         """See ``Method``."""
@@ -152,7 +152,7 @@ class NetworkMethod:
 
 def ask(
     model: nn.Module, images: Tensor, masks: Tensor, view: View, values: Values, *, once: bool = False
-) -> tuple[Decomposition, Tensor]:
+) -> tuple[NetworkOutput, Tensor]:
     """A network's answer at the resolution of the images, and the gains that it saw them with.
 
     They are shown to it as ``view`` says, its maps are interpolated. Images whose mask reaches out of the
@@ -180,24 +180,24 @@ def ask(
     rows = beyond(masks, view)
     if rows.any():
         wide = _spread(model, metered[rows], view._replace(crop=FACE_SIZE), values, once)
-        near = Decomposition(*(part[rows] for part in found))
+        near = NetworkOutput(*(part[rows] for part in found))
         for part, whole in zip(found, joined(near, wide, masks[rows], view), strict=True):
             part[rows] = whole
     light = found.light / gain[:, :, 0, 0] if values == "linear" else found.light
-    return Decomposition(found.normal, found.albedo, light), gain
+    return NetworkOutput(found.normal, found.albedo, light), gain
 
 
-def _spread(model: nn.Module, images: Tensor, view: View, values: Values, once: bool) -> Decomposition:
+def _spread(model: nn.Module, images: Tensor, view: View, values: Values, once: bool) -> NetworkOutput:
     """Unit normals and albedo on the whole frame from a view of it; beyond the view the nearest answer."""
     try:
         small = view.shown(images).clamp(0, 1)
     except InputError as error:
         raise InputError(f"images: {error}, as the network was trained") from error
-    answer = (predict if once else predict_both_ways)(
+    answer = (predict if once else predict_with_flip_tta)(
         model, linear_to_srgb(small) if values == "display" else small
     )
     normal, albedo = (view.spread(part, images.shape[-1]) for part in (answer.normal, answer.albedo))
-    return Decomposition(unit(normal), albedo, answer.light)
+    return NetworkOutput(unit(normal), albedo, answer.light)
 
 
 class FlatNormals:

@@ -29,7 +29,7 @@ _SHEET: Final = "sheet.png"
 
 
 @dataclass(frozen=True, eq=False)
-class Decomposed:
+class Decomposition:
     """One face taken apart, in the canonical frame, linear light.
 
     Attributes:
@@ -56,7 +56,7 @@ class Decomposed:
     values: Values = "linear"
 
 
-def pictures(face: Decomposed) -> dict[str, tuple[str, Pixels]]:
+def pictures(face: Decomposition) -> dict[str, tuple[str, Pixels]]:
     """File stem -> (label, 8-bit picture), in reading order; white outside the mask, but for the input.
 
     Shading is divided by its largest value on the face if that is above 1, so that it does not burn out.
@@ -75,7 +75,7 @@ def pictures(face: Decomposed) -> dict[str, tuple[str, Pixels]]:
     return {"input": ("Input", show_linear(face.image))} | masked
 
 
-def write_decomposed(folder: Path | str, face: Decomposed, metadata: Mapping[str, str]) -> Path:
+def write_decomposition(folder: Path | str, face: Decomposition, metadata: Mapping[str, str]) -> Path:
     """Write all files of one face into ``folder / face.name``, the whole folder or nothing.
 
     Args:
@@ -101,7 +101,7 @@ def write_decomposed(folder: Path | str, face: Decomposed, metadata: Mapping[str
     return target
 
 
-def _channels(face: Decomposed) -> dict[str, Array]:
+def _channels(face: Decomposition) -> dict[str, Array]:
     channels: dict[str, Array] = {"mask.Y": face.mask}
     for name, letters in {"image": "RGB", "normal": "XYZ", "albedo": "RGB", "shading": "RGB"}.items():
         for index, letter in enumerate(letters):

@@ -23,7 +23,7 @@ from sfsnet_dr.core.errors import check_shape
 from sfsnet_dr.data.batch import FaceBatch
 from sfsnet_dr.data.mixed_batch import MixedBatch, RealBatch
 from sfsnet_dr.losses.reconstruction import Backend, reconstruction_l1
-from sfsnet_dr.models.base import Decomposition
+from sfsnet_dr.models.base import NetworkOutput
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class LossTerms(NamedTuple):
 
 
 def sfsnet_loss(
-    prediction: Decomposition,
+    prediction: NetworkOutput,
     target: FaceBatch,
     weights: LossWeights | None = None,
     backend: Backend = "drjit",
@@ -134,7 +134,7 @@ LARGEST_FACTOR: Final = 2.0
 
 
 def mixed_loss(
-    prediction: Decomposition,
+    prediction: NetworkOutput,
     target: MixedBatch,
     labelled_weights: LossWeights,
     real_weights: LossWeights,
@@ -156,8 +156,8 @@ def mixed_loss(
         Total, terms of the labelled faces, terms of the real ones.
     """
     count, real = len(target.labelled.image), len(target.real.faces.image)
-    first = Decomposition(*(part[:count] for part in prediction))
-    second = Decomposition(*(part[count:] for part in prediction))
+    first = NetworkOutput(*(part[:count] for part in prediction))
+    second = NetworkOutput(*(part[count:] for part in prediction))
     of_labelled, of_real = shares or (None, None)
     labelled_terms = sfsnet_loss(first, target.labelled, labelled_weights, backend, share=of_labelled)
     labels = at_scale_of(second, target.real)
@@ -167,7 +167,7 @@ def mixed_loss(
     return total, labelled_terms, real_terms
 
 
-def at_scale_of(prediction: Decomposition, target: RealBatch) -> FaceBatch:
+def at_scale_of(prediction: NetworkOutput, target: RealBatch) -> FaceBatch:
     """The labels; where scale is free, albedo has the prediction's mean, and light the inverse factor.
 
     The mean is over the mask, weighted by confidence; the factor is at most 2 either way, for labels have the

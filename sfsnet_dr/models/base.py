@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from sfsnet_dr.core.errors import InputError, check_shape
 
 
-class Decomposition(NamedTuple):
+class NetworkOutput(NamedTuple):
     """Normals, albedo and light behind a batch of images, float32.
 
     Args:
@@ -28,7 +28,7 @@ class Decomposition(NamedTuple):
 
 
 class Network(nn.Module):
-    """A module from images to a ``Decomposition`` that can be made again by name and settings.
+    """A module from images to a ``NetworkOutput`` that can be made again by name and settings.
 
     Attributes:
         architecture: its name in recipes and weights files.
@@ -49,7 +49,7 @@ class Network(nn.Module):
             if value < 1:
                 raise InputError(f"{name}: {value} found, at least 1 is needed for a {self.architecture}")
 
-    def forward(self, image: Tensor) -> Decomposition:
+    def forward(self, image: Tensor) -> NetworkOutput:
         """Decompose images (B, 3, H, W): linear Rec. 709, or encoded where it was trained on such.
 
         Raises:

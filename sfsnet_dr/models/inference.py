@@ -17,13 +17,13 @@ from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.data.pseudo_labels import Values
 from sfsnet_dr.data.transforms.crop import View
 from sfsnet_dr.data.transforms.flip import flip_light, flip_map, flip_normal
-from sfsnet_dr.models.base import Decomposition, Network
+from sfsnet_dr.models.base import Network, NetworkOutput
 from sfsnet_dr.models.weights import load_weights, read_metadata
 from sfsnet_dr.render.shading_torch import unit
 
 
 @torch.no_grad()
-def predict(model: nn.Module, images: Tensor, batch_size: int = 16) -> Decomposition:
+def predict(model: nn.Module, images: Tensor, batch_size: int = 16) -> NetworkOutput:
     """Decompose images with the running statistics of batch normalisation, in float32.
 
     The model's training mode is put back afterwards.
@@ -39,31 +39,31 @@ def predict(model: nn.Module, images: Tensor, batch_size: int = 16) -> Decomposi
         parts = [model(chunk) for chunk in torch.split(images, batch_size)]
     finally:
         model.train(training)
-    return Decomposition(*(torch.cat(tensors) for tensors in zip(*parts, strict=True)))
+    return NetworkOutput(*(torch.cat(tensors) for tensors in zip(*parts, strict=True)))
 
 
-def predict_both_ways(model: nn.Module, images: Tensor, batch_size: int = 16) -> Decomposition:
+def predict_with_flip_tta(model: nn.Module, images: Tensor, batch_size: int = 16) -> NetworkOutput:
     """The mean of the answers to images and to their mirror images; takes twice as long as ``predict``.
 
     What a network says of a reflected face should be the reflection of what it says of the face. Where it is
     not, the mean is nearer to the truth: README, "Real faces", tells by how much.
     """
     straight = predict(model, images, batch_size)
-    back = mirrored(predict(model, flip_map(images), batch_size))
-    return Decomposition(
+    back = mirror_output(predict(model, flip_map(images), batch_size))
+    return NetworkOutput(
         unit(straight.normal + back.normal),
         (straight.albedo + back.albedo) / 2,
         (straight.light + back.light) / 2,
     )
 
 
-def mirrored(answer: Decomposition) -> Decomposition:
+def mirror_output(answer: NetworkOutput) -> NetworkOutput:
     """The left-right reflection of an answer."""
-    return Decomposition(flip_normal(answer.normal), flip_map(answer.albedo), flip_light(answer.light))
+    return NetworkOutput(flip_normal(answer.normal), flip_map(answer.albedo), flip_light(answer.light))
 
 
 @dataclass(frozen=True, eq=False)
-class Trained:
+class LoadedModel:
     """A network as ``sfsnet-dr train`` left it.
 
     Attributes:
@@ -80,7 +80,7 @@ class Trained:
     metadata: dict[str, Any]
 
 
-def load_trained(weights: Path | str) -> Trained:
+def load_model(weights: Path | str) -> LoadedModel:
     """Read weights; a file without a recipe counts as trained on linear images of 128 x 128.
 
     Raises:
@@ -95,4 +95,4 @@ def load_trained(weights: Path | str) -> Trained:
             f"{weights}: trained on {view.crop} of the frame's {FACE_SIZE} pixels shown with {view.size}, no "
             "more pixels than are shown are needed"
         )
-    return Trained(load_weights(weights), view, recipe.get("real", {}).get("values", "linear"), metadata)
+    return LoadedModel(load_weights(weights), view, recipe.get("real", {}).get("values", "linear"), metadata)

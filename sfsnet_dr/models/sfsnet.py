@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from sfsnet_dr.core.conventions import LIGHT_SIZE
-from sfsnet_dr.models.base import Decomposition, Network
+from sfsnet_dr.models.base import Network, NetworkOutput
 from sfsnet_dr.models.layers import (
     MapHead,
     conv,
@@ -52,13 +52,13 @@ class SfSNet(Network):
         self.light_out = nn.Linear(features, LIGHT_SIZE)
         initialise(self)
 
-    def forward(self, image: Tensor) -> Decomposition:
+    def forward(self, image: Tensor) -> NetworkOutput:
         """See ``Network``; sizes are even."""
         self.check(image)
         features = self.conv(image)
         normal_features = self.normal_blocks(features)
         albedo_features = self.albedo_blocks(features)
-        return Decomposition(
+        return NetworkOutput(
             normal=unit_normal(self.normal_head(normal_features)),
             albedo=self.albedo_head(albedo_features),
             light=self._light(features, normal_features, albedo_features),

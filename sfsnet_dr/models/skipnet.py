@@ -25,7 +25,7 @@ from torch import Tensor, nn
 
 from sfsnet_dr.core.conventions import FACE_SIZE, LIGHT_SIZE
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.models.base import Decomposition, Network
+from sfsnet_dr.models.base import Network, NetworkOutput
 from sfsnet_dr.models.layers import conv, initialise, to_light, to_map, unit_normal
 
 #: Five layers of stride 2 lie between an image and the innermost response.
@@ -64,7 +64,7 @@ class SkipNet(Network):
         self.light_out = nn.Linear(self.features, LIGHT_SIZE)
         initialise(self, slope)
 
-    def forward(self, image: Tensor) -> Decomposition:
+    def forward(self, image: Tensor) -> NetworkOutput:
         """See ``Network``; images have the size that the network was made for."""
         self.check(image)
         responses = []
@@ -73,7 +73,7 @@ class SkipNet(Network):
             x = layer(x)
             responses.append(x)
         normal, albedo, light = self.mlp(self.bottleneck(x)).split(self.features, dim=1)
-        return Decomposition(
+        return NetworkOutput(
             normal=unit_normal(self.normal_decoder(self._blob(normal), responses)),
             albedo=self.albedo_decoder(self._blob(albedo), responses),
             light=to_light(light[:, :, None, None], self.light_out),
@@ -120,7 +120,7 @@ class SkipNetPlus(Network):
         self.light_out = nn.Linear(channels[-1], LIGHT_SIZE)
         initialise(self, slope)
 
-    def forward(self, image: Tensor) -> Decomposition:
+    def forward(self, image: Tensor) -> NetworkOutput:
         """See ``Network``."""
         self.check(image)
         responses = []
@@ -128,7 +128,7 @@ class SkipNetPlus(Network):
         for layer in self.encoder:
             x = layer(x)
             responses.append(x)
-        return Decomposition(
+        return NetworkOutput(
             normal=unit_normal(self.normal_decoder(self.normal_entry(x), responses)),
             albedo=self.albedo_decoder(self.albedo_entry(x), responses),
             light=to_light(x, self.light_out),

@@ -32,7 +32,7 @@ _TILE = 4  # neighbours in 4 x 4 pixels share a vector of rays, which then meet 
 
 
 @dataclass(frozen=True)
-class CaptureOptions:
+class TransportOptions:
     """What is traced from each pixel.
 
     Attributes:
@@ -52,7 +52,7 @@ class CaptureOptions:
 
 
 @dataclass(frozen=True)
-class Capture:
+class TransportMaps:
     """What a camera sees of a surface.
 
     Attributes:
@@ -78,13 +78,13 @@ class Capture:
     rays: int
 
 
-def capture(
+def render_aovs(
     scene: SurfaceScene,
     samples: int,
     seed: int,
-    options: CaptureOptions = CaptureOptions(),
+    options: TransportOptions = TransportOptions(),
     directions: Array | None = None,
-) -> Capture:
+) -> TransportMaps:
     """Render maps and transport.
 
     Pixels more than one pixel away from all that a coarse look finds of the surface are taken as empty.
@@ -105,7 +105,7 @@ def capture(
     sizes = stage.sizes()
     values = _to_images(transport.trace(stage), pixels, scene.camera.size)
     parts = dict(zip(sizes, np.split(values, np.cumsum([*sizes.values()])[:-1]), strict=True))
-    return Capture(
+    return TransportMaps(
         **_maps(np.moveaxis(parts["maps"], 0, -1).astype(np.float64) / samples),
         transport=_by_colour(parts["transport"]),
         gloss=np.ascontiguousarray(parts["gloss"]),
@@ -115,11 +115,11 @@ def capture(
 
 
 def _stage(
-    scene: SurfaceScene, pixels: Indices, samples: int, seed: int, options: CaptureOptions, toward: Array
-) -> transport.Stage:
+    scene: SurfaceScene, pixels: Indices, samples: int, seed: int, options: TransportOptions, toward: Array
+) -> transport.TransportKernel:
     pixel = upload(mi.UInt32, pixels)
     state = int(np.random.SeedSequence(seed).generate_state(1)[0])
-    return transport.Stage(
+    return transport.TransportKernel(
         scene,
         pixel,
         Points(options.sampler, pixel, dr.opaque(mi.UInt32, state)),
@@ -194,7 +194,7 @@ def _by_tiles(size: int) -> Indices:
     return np.lexsort((column, row, mixed)).astype(np.uint32)
 
 
-def _checked(samples: int, options: CaptureOptions, directions: Array | None) -> Array:
+def _checked(samples: int, options: TransportOptions, directions: Array | None) -> Array:
     toward = np.zeros((0, 3)) if directions is None else np.asarray(directions, dtype=np.float64)
     check_shape("directions", toward, "D 3")
     check_samples("samples", samples)

@@ -35,7 +35,7 @@ _UP = mi.ScalarVector3f(0.0, 0.0, 1.0)  # any direction, where one is needed and
 Hit: TypeAlias = mi.SurfaceInteraction3f
 
 
-class Stage:
+class TransportKernel:
     """What the kernel computes with. What varies between faces is in memory or opaque, so that a second
     face compiles nothing. (No dataclass: Dr.Jit would take it for a loop's state.)
 
@@ -85,7 +85,7 @@ class Stage:
 
 
 @dr.syntax
-def trace(stage: Stage) -> mi.ArrayXf:
+def trace(stage: TransportKernel) -> mi.ArrayXf:
     """All values of all pixels, (values, lanes), in one symbolic loop over the samples."""
     # A block of its own: constants that an earlier block left alive would move in the code, and its kernel
     # would be another.
@@ -106,7 +106,7 @@ def trace(stage: Stage) -> mi.ArrayXf:
     return sums
 
 
-def _first_point(stage: Stage, hit: Hit, at: Scatter) -> list[mi.Float]:
+def _first_point(stage: TransportKernel, hit: Hit, at: Scatter) -> list[mi.Float]:
     """What a camera ray adds where it hits: T as if nothing shadowed it, D of light seen from there, maps."""
     share = 1.0 / mi.Float(stage.sample_count)
     normal, bands = dr.select(at.active, hit.sh_frame.n, _UP), at.unshadowed(stage.order)
@@ -120,7 +120,7 @@ def _first_point(stage: Stage, hit: Hit, at: Scatter) -> list[mi.Float]:
     return [*answer, *[mi.Float(0.0)] * stage.sizes()["gloss"], *values, *_maps(stage, hit), rays]
 
 
-def _paths(stage: Stage, index: mi.UInt32, hit: Hit, at: Scatter) -> list[mi.Float]:
+def _paths(stage: TransportKernel, index: mi.UInt32, hit: Hit, at: Scatter) -> list[mi.Float]:
     """What paths number ``index`` add: T, G, D over further surface points, and the number of rays.
 
     T of a point that nothing shadows is known (``_first_point``): where a first ray hits something, a diffuse
@@ -169,7 +169,7 @@ class _End:
 
 @dr.syntax
 def _follow(
-    stage: Stage,
+    stage: TransportKernel,
     lamp: mi.UInt32,
     random: mi.PCG32,
     first: Hit,
@@ -206,7 +206,7 @@ def _follow(
 
 
 def _scatter(
-    stage: Stage, hit: Hit, lamp: mi.UInt32, random: mi.PCG32, active: mi.Bool
+    stage: TransportKernel, hit: Hit, lamp: mi.UInt32, random: mi.PCG32, active: mi.Bool
 ) -> tuple[mi.Color3f, mi.Float, mi.Color3f, mi.Ray3f]:
     """At a further surface point: what its directional light gives and the rays that took, the share of light
     that goes on, 0 from behind, and the ray it comes along."""
@@ -227,7 +227,7 @@ def _basis(order: int, away: mi.Vector3f) -> list[mi.Float]:
     return sh_polynomials(away.x, away.y, away.z, order)
 
 
-def _lamp_in_turn(stage: Stage, index: mi.UInt32) -> tuple[mi.UInt32, mi.Float]:
+def _lamp_in_turn(stage: TransportKernel, index: mi.UInt32) -> tuple[mi.UInt32, mi.Float]:
     """The light that a path looks at, and the inverse share of the paths that look at the same.
 
     Each light has its stretch of the paths: consecutive points are as even as the whole set.
@@ -239,7 +239,7 @@ def _lamp_in_turn(stage: Stage, index: mi.UInt32) -> tuple[mi.UInt32, mi.Float]:
 
 
 def _lamp_value(
-    stage: Stage, hit: Hit, at: Scatter, lamp: mi.UInt32, active: mi.Bool
+    stage: TransportKernel, hit: Hit, at: Scatter, lamp: mi.UInt32, active: mi.Bool
 ) -> tuple[mi.Color3f, mi.Float]:
     """Radiance reflected from a directional light of irradiance 1, and the number of rays it took."""
     toward = dr.gather(mi.Vector3f, stage.lamps, lamp, active)
@@ -250,7 +250,7 @@ def _lamp_value(
     return dr.select(facing & ~hidden, value, 0.0), dr.select(facing, mi.Float(1.0), 0.0)
 
 
-def _maps(stage: Stage, hit: Hit) -> list[mi.Float]:
+def _maps(stage: TransportKernel, hit: Hit) -> list[mi.Float]:
     """Normal, albedo, and a hit of the region."""
     found = hit.is_valid()
     normal = dr.select(found, hit.sh_frame.n, 0.0)

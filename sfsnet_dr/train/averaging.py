@@ -16,7 +16,7 @@ import torch
 
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.models.base import Network
-from sfsnet_dr.models.inference import Trained, load_trained
+from sfsnet_dr.models.inference import LoadedModel, load_model
 
 
 def mean_weights(paths: Sequence[Path | str], shares: Sequence[float] = ()) -> Network:
@@ -32,7 +32,7 @@ def mean_weights(paths: Sequence[Path | str], shares: Sequence[float] = ()) -> N
     if len(paths) < 2:
         raise InputError(f"weights: {len(paths)} found, a mean needs two files at least")
     parts = _as_parts(shares, len(paths))
-    networks = [load_trained(path) for path in paths]
+    networks = [load_model(path) for path in paths]
     for path, network in zip(paths, networks, strict=True):
         if _kind(network) != _kind(networks[0]):
             raise InputError(
@@ -61,7 +61,7 @@ def _as_parts(shares: Sequence[float], count: int) -> list[float]:
     return [share / sum(given) for share in given]
 
 
-def _kind(network: Trained) -> str:
+def _kind(network: LoadedModel) -> str:
     """What networks with a mean have in common, in words."""
     model, view = network.model, network.view
     own = "".join(f", {key} = {value}" for key, value in sorted(model.config.items()))

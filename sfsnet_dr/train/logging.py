@@ -23,7 +23,7 @@ from sfsnet_dr.core.image_io import write_png
 from sfsnet_dr.data.batch import FaceBatch
 from sfsnet_dr.data.mixed_batch import MixedBatch
 from sfsnet_dr.data.pseudo_labels import Values
-from sfsnet_dr.models.base import Decomposition
+from sfsnet_dr.models.base import NetworkOutput
 from sfsnet_dr.models.inference import predict
 from sfsnet_dr.render.shading_torch import f_render, shading
 
@@ -129,14 +129,14 @@ def write_pictures(path: Path, model: nn.Module, batch: FaceBatch | MixedBatch, 
     for kind in kinds:
         kind = FaceBatch(*(part[:ROWS] for part in kind))
         answer = predict(model, kind.image)
-        labels = _columns(Decomposition(kind.normal, kind.albedo, kind.light), kind.mask, values)
+        labels = _columns(NetworkOutput(kind.normal, kind.albedo, kind.light), kind.mask, values)
         shown = [_shown(kind.image, values), *_columns(answer, kind.mask, values), *labels]
         rows.append(torch.cat(shown, dim=3))
     grid = torch.cat([row for kind in rows for row in kind], dim=1)
     write_png(path, grid.permute(1, 2, 0).cpu().numpy(), encoded=True)
 
 
-def _columns(answer: Decomposition, mask: Tensor, values: Values) -> list[Tensor]:
+def _columns(answer: NetworkOutput, mask: Tensor, values: Values) -> list[Tensor]:
     shade = shading(answer.normal, answer.light)
     peak = (shade * mask).amax((1, 2, 3), keepdim=True).clamp_min(1)
     maps = [

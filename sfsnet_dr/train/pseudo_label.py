@@ -28,8 +28,8 @@ from sfsnet_dr.core.provenance import sha256
 from sfsnet_dr.data.photos import PhotoSet, PhotoSource
 from sfsnet_dr.data.pseudo_labels import SHARD, LabelFolder, Labels, Values, as_network_input, encoded
 from sfsnet_dr.data.transforms.flip import flip_map
-from sfsnet_dr.models.base import Decomposition
-from sfsnet_dr.models.inference import load_trained, mirrored, predict
+from sfsnet_dr.models.base import NetworkOutput
+from sfsnet_dr.models.inference import load_model, mirror_output, predict
 from sfsnet_dr.models.shipped import weights_path
 
 #: Deviations at which a pixel's confidence has fallen to a half.
@@ -65,7 +65,7 @@ def pseudo_label(
         InputError: for unusable photographs or weights, or an ``out`` with other labels.
     """
     train = photographs.train
-    trained = load_trained(weights)
+    trained = load_model(weights)
     view = trained.view._replace(size=size or trained.view.size)
     spec: dict[str, Any] = {
         "weights": sha256(weights_path(weights)),
@@ -94,7 +94,7 @@ def label(model: nn.Module, photographs: PhotoSet, values: Values = "linear") ->
     return encoded(photographs.images, photographs.masks, confidence, *answer)
 
 
-def confident_answer(model: nn.Module, image: Tensor) -> tuple[Decomposition, Tensor]:
+def confident_answer(model: nn.Module, image: Tensor) -> tuple[NetworkOutput, Tensor]:
     """The mean answer to four views of images (N, 3, S, S), and its confidence (N, 1, S, S) in [0, 1]."""
     step = max(1, round(_SHIFT * image.shape[-1]))
     answers = [
@@ -111,16 +111,16 @@ def confident_answer(model: nn.Module, image: Tensor) -> tuple[Decomposition, Te
         mean.mean(1, keepdim=True).abs() + 0.05
     )
     confidence = 1 / (1 + angle) / (1 + (deviation / HALF_ALBEDO).square())
-    return Decomposition(direction / length.clamp_min(1e-6), mean, light.mean(0)), confidence
+    return NetworkOutput(direction / length.clamp_min(1e-6), mean, light.mean(0)), confidence
 
 
-def _answer(model: nn.Module, image: Tensor, flip: bool, shift: tuple[int, int]) -> Decomposition:
+def _answer(model: nn.Module, image: Tensor, flip: bool, shift: tuple[int, int]) -> NetworkOutput:
     """The answer to a view, in the frame of the image itself."""
     view = _shifted(flip_map(image) if flip else image, shift)
     normal, albedo, light = predict(model, view)
     back = (-shift[0], -shift[1])
-    answer = Decomposition(_shifted(normal, back), _shifted(albedo, back), light)
-    return mirrored(answer) if flip else answer
+    answer = NetworkOutput(_shifted(normal, back), _shifted(albedo, back), light)
+    return mirror_output(answer) if flip else answer
 
 
 def _shifted(image: Tensor, shift: tuple[int, int]) -> Tensor:

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from sfsnet_dr.data.batch import FaceBatch
 from sfsnet_dr.data.mixed_batch import MixedBatch
 from sfsnet_dr.losses.sfsnet import LossTerms, Share, mixed_loss, sfsnet_loss
-from sfsnet_dr.models.base import Decomposition, Network
+from sfsnet_dr.models.base import Network, NetworkOutput
 from sfsnet_dr.train.config import Recipe
 from sfsnet_dr.train.distributed import Team
 
@@ -29,7 +29,7 @@ STEPS: Final = 50
 PARTS: Final = ("normal", "albedo")
 
 
-def spread_ratios(prediction: Decomposition, target: FaceBatch) -> dict[str, float]:
+def spread_ratios(prediction: NetworkOutput, target: FaceBatch) -> dict[str, float]:
     """For normals and albedo, the standard deviation over each face as a share of that of its labels.
 
     A deviation is the root of the variance over the mask's pixels, summed over the three channels; the share
@@ -140,17 +140,17 @@ def training_step(
     return values
 
 
-def predicted(model: Network, image: Tensor, recipe: Recipe) -> Decomposition:
+def predicted(model: Network, image: Tensor, recipe: Recipe) -> NetworkOutput:
     """A network's answer in the recipe's precision and memory order."""
     layout = torch.channels_last if recipe.compute.channels_last else torch.contiguous_format
     image = image.contiguous(memory_format=layout)
     with torch.autocast(image.device.type, torch.bfloat16, enabled=recipe.compute.bfloat16(image.device)):
-        answer: Decomposition = model(image)
+        answer: NetworkOutput = model(image)
     return answer
 
 
 def batch_loss(
-    prediction: Decomposition, batch: FaceBatch | MixedBatch, recipe: Recipe, team: Team = _ALONE
+    prediction: NetworkOutput, batch: FaceBatch | MixedBatch, recipe: Recipe, team: Team = _ALONE
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """The loss of a batch, and all terms to be noted; their sums over a team are those of the whole batch."""
     backend = recipe.compute.loss_backend
@@ -170,7 +170,7 @@ def _forward(
     prediction = predicted(model, batch.image, recipe)
     total, terms = batch_loss(prediction, batch, recipe, team)
     labelled = batch if isinstance(batch, FaceBatch) else batch.labelled
-    first = Decomposition(*(part[: len(labelled.image)] for part in prediction))
+    first = NetworkOutput(*(part[: len(labelled.image)] for part in prediction))
     return total, terms, spread_ratios(first, labelled)
 
 

@@ -24,7 +24,7 @@ from sfsnet_dr.core.conventions import (
 )
 from sfsnet_dr.data.alignment import to_canonical
 from sfsnet_dr.inference.visualize import show_normals
-from sfsnet_dr.render.aovs import capture
+from sfsnet_dr.render.aovs import render_aovs
 from sfsnet_dr.render.path_tracer import path_trace
 from sfsnet_dr.render.shading_numpy import f_render, shading, unit
 from sfsnet_dr.scene.lights.light import Light
@@ -79,7 +79,7 @@ def test_the_frame_is_right_handed() -> None:
 
 
 def test_rendered_normals_point_right_up_and_to_the_viewer() -> None:
-    normal = capture(SurfaceScene(WHITE, CAMERA), 16, 0).normal
+    normal = render_aovs(SurfaceScene(WHITE, CAMERA), 16, 0).normal
     i, j = np.mgrid[:32, :32] + 0.5  # centres of pixels: x = j + 1/2, y = i + 1/2
     target = np.stack([j / 16 - 1, 1 - i / 16, np.zeros((32, 32))], -1)
     eye, radius = np.array([0, 0, CAMERA.distance]), np.linalg.norm(WHITE.vertices, axis=1).max()

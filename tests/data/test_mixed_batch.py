@@ -18,7 +18,7 @@ from sfsnet_dr.data.mixed_batch import MixedBatch, MixedFaces, RealBatch, RealFa
 from sfsnet_dr.data.pseudo_labels import LabelFolder, PseudoFaces, Values, encoded, load_pseudo_labels
 from sfsnet_dr.data.transforms.background import Augmentation
 from sfsnet_dr.losses.sfsnet import LossWeights, mixed_loss, sfsnet_loss
-from sfsnet_dr.models.base import Decomposition
+from sfsnet_dr.models.base import NetworkOutput
 from sfsnet_dr.render.shading_torch import f_render
 from sfsnet_dr.train.config import ComputeRecipe, ModelRecipe, Recipe
 from sfsnet_dr.train.logging import read_history
@@ -109,13 +109,13 @@ def same(a: MixedBatch, b: MixedBatch) -> bool:
     return all(torch.equal(x, y) for x, y in [*pairs, *zip(a.real[1:], b.real[1:], strict=True)])
 
 
-def guess(batch: MixedBatch) -> Decomposition:
+def guess(batch: MixedBatch) -> NetworkOutput:
     """An answer that is off by a tenth in everything."""
     parts: list[Tensor] = [
         torch.cat([x, y]) + 0.1
         for x, y in zip(batch.labelled[1:4], batch.real.faces[1:4], strict=True)
     ]  # fmt: skip
-    return Decomposition(*parts)
+    return NetworkOutput(*parts)
 
 
 def test_the_loss_is_the_mean_over_faces_and_trusts_as_told(labels: Path, spheres: Path) -> None:
@@ -125,7 +125,7 @@ def test_the_loss_is_the_mean_over_faces_and_trusts_as_told(labels: Path, sphere
     weights, real_weights = LossWeights(), LossWeights(recon=2.0, normal=1.0)
     total, first, second = mixed_loss(guess(batch), batch, weights, real_weights, "torch")
     assert float(total) == pytest.approx((3 * float(first.total) + float(second.total)) / 4)
-    only = Decomposition(*(part[:3] for part in guess(batch)))
+    only = NetworkOutput(*(part[:3] for part in guess(batch)))
     assert torch.equal(first.total, sfsnet_loss(only, batch.labelled, weights, "torch").total)
     # Errors of .1 everywhere, so the weighted means follow from the mean confidence alone.
     mask = batch.real.faces.mask

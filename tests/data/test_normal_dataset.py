@@ -29,7 +29,7 @@ from sfsnet_dr.data.normal_dataset import (
 from sfsnet_dr.data.transforms.background import Augmentation
 from sfsnet_dr.data.transforms.crop import View
 from sfsnet_dr.losses.sfsnet import LARGEST_FACTOR, LossWeights, at_scale_of, mixed_loss
-from sfsnet_dr.models.base import Decomposition
+from sfsnet_dr.models.base import NetworkOutput
 from sfsnet_dr.models.weights import read_metadata, save_weights
 from sfsnet_dr.render.shading_torch import f_render
 from sfsnet_dr.train.config import ComputeRecipe, ModelRecipe, Recipe, read_recipe
@@ -111,8 +111,8 @@ def test_training_sees_no_picture_of_anybody_held_back(surfaces: Path) -> None:
 def test_albedo_and_light_count_up_to_a_factor(surfaces: Path) -> None:
     real = SurfaceFaces([face("a2")], 4, SurfaceOptions(), seed=0).batch(0)
     batch = real.faces
-    true = Decomposition(batch.normal, 1.8 * batch.albedo, batch.light / 1.8)
-    both = Decomposition(*(torch.cat([part, part]) for part in true))
+    true = NetworkOutput(batch.normal, 1.8 * batch.albedo, batch.light / 1.8)
+    both = NetworkOutput(*(torch.cat([part, part]) for part in true))
     labelled = FaceBatch(batch.image, *true, batch.mask)
     weights = LossWeights()
     free = MixedBatch(labelled, real)
@@ -145,7 +145,7 @@ def test_a_smooth_answer_is_not_told_to_be_darker() -> None:
     """It would be by a scale of least squares: detail that the answer lacks makes that one small."""
     real = SurfaceFaces([face("a2")], 4, SurfaceOptions(), seed=0).batch(0)
     weight = real.faces.mask * real.confidence
-    answer = Decomposition(real.faces.normal, torch.full_like(real.faces.albedo, 0.25), real.faces.light)
+    answer = NetworkOutput(real.faces.normal, torch.full_like(real.faces.albedo, 0.25), real.faces.light)
     labels = at_scale_of(answer, real)
     told, said = ((weight * part).sum((1, 2, 3)) for part in (labels.albedo, answer.albedo))
     torch.testing.assert_close(told, said)

@@ -15,7 +15,7 @@ from sfsnet_dr.core.image_io import read_exr, read_image, write_png
 from sfsnet_dr.data.alignment import face_ellipse_mask
 from sfsnet_dr.inference import outputs
 from sfsnet_dr.inference.decompose import decompose, eyes_from_text, read_picture, reconstruction_error
-from sfsnet_dr.models.inference import predict_both_ways
+from sfsnet_dr.models.inference import predict_with_flip_tta
 from sfsnet_dr.models.sfsnet import SfSNet
 from sfsnet_dr.models.skipnet import SkipNet
 from sfsnet_dr.models.weights import save_weights
@@ -178,7 +178,9 @@ def test_a_network_answers_at_the_size_it_was_trained_at(tmp_path: Path, picture
     [face] = decompose([picture], tmp_path / "out", tmp_path / "w.safetensors")
     assert face.normal.shape == face.image.shape == (128, 128, 3)
     blocks = read_image(picture).pixels.reshape(64, 2, 64, 2, 3).mean((1, 3))
-    small = predict_both_ways(model, torch.from_numpy(np.moveaxis(blocks, -1, 0)[None].astype(np.float32)))
+    small = predict_with_flip_tta(
+        model, torch.from_numpy(np.moveaxis(blocks, -1, 0)[None].astype(np.float32))
+    )
     # Means over blocks of an image interpolated to twice its size: the middle of each block weighs 9/16, its
     # neighbours the rest, so on a smooth image the means are the image.
     inner = face.albedo[2:-2, 2:-2].reshape(62, 2, 62, 2, 3).mean((1, 3))
@@ -197,7 +199,9 @@ def test_display_referred_weights_see_and_explain_the_encoded_picture(tmp_path: 
     save_weights(weights, model, recipe_metadata(128, "display"))
     [face] = decompose([picture], tmp_path / "out", weights)
     encoded = linear_to_srgb(read_image(picture).pixels)
-    result = predict_both_ways(model, torch.from_numpy(np.moveaxis(encoded, -1, 0)[None].astype(np.float32)))
+    result = predict_with_flip_tta(
+        model, torch.from_numpy(np.moveaxis(encoded, -1, 0)[None].astype(np.float32))
+    )
     # Sums of float32 in another order, divided by short normals.
     np.testing.assert_allclose(face.albedo, np.moveaxis(result.albedo[0].numpy(), 0, -1), atol=1e-5)
     shown = face.albedo * face.shading

@@ -10,7 +10,7 @@ from torch import Tensor
 from sfsnet_dr.data.transforms.crop import View
 from sfsnet_dr.inference.decompose import Picture, take_apart
 from sfsnet_dr.inference.methods import ask, beyond, joined
-from sfsnet_dr.models.base import Decomposition
+from sfsnet_dr.models.base import NetworkOutput
 
 VIEW = View(48, 96)
 
@@ -20,7 +20,7 @@ class Dims(Places):
 
     asked = 0
 
-    def forward(self, image: Tensor) -> Decomposition:
+    def forward(self, image: Tensor) -> NetworkOutput:
         self.asked += 1
         return super().forward(image / self.asked)
 
@@ -69,7 +69,7 @@ def test_answers_fade_on_a_rim_of_six_pixels() -> None:
     grey = torch.full((1, 3, 128, 128), 0.5)
     light = torch.arange(27.0)[None]
     found = joined(
-        Decomposition(near, grey, light), Decomposition(wide, grey, 2 * light), a_mask(inside=False), VIEW
+        NetworkOutput(near, grey, light), NetworkOutput(wide, grey, 2 * light), a_mask(inside=False), VIEW
     )
     assert torch.equal(found.light, light)
     # The view ends at 16; centres of pixels lie half a pixel further in, and the rim is six wide.
@@ -84,10 +84,10 @@ def test_answers_fade_on_a_rim_of_six_pixels() -> None:
 def test_an_albedo_of_nothing_scales_nothing_to_infinity() -> None:
     flat = torch.zeros(1, 3, 128, 128)
     flat[:, 2] = 1
-    grey = Decomposition(flat, torch.full_like(flat, 0.5), torch.zeros(1, 27))
-    black = Decomposition(flat, torch.zeros_like(flat), torch.zeros(1, 27))
+    grey = NetworkOutput(flat, torch.full_like(flat, 0.5), torch.zeros(1, 27))
+    black = NetworkOutput(flat, torch.zeros_like(flat), torch.zeros(1, 27))
     assert float(joined(grey, black, a_mask(inside=False), VIEW).albedo.max()) == 0.5
-    faint = Decomposition(flat, torch.full_like(flat, 0.001), torch.zeros(1, 27))
+    faint = NetworkOutput(flat, torch.full_like(flat, 0.001), torch.zeros(1, 27))
     corner = joined(grey, faint, a_mask(inside=False), VIEW).albedo[0, 0, 0, 0]
     assert 0.0039 < float(corner) < 0.0041  # four times at most
 

@@ -11,21 +11,21 @@ from sfsnet_dr.data.batch import FaceBatch
 from sfsnet_dr.data.mixed_batch import RealBatch
 from sfsnet_dr.losses.reconstruction import Backend
 from sfsnet_dr.losses.sfsnet import LossTerms, LossWeights, Trust, light_trust, masked_l1, sfsnet_loss
-from sfsnet_dr.models.base import Decomposition
+from sfsnet_dr.models.base import NetworkOutput
 from sfsnet_dr.render.shading_numpy import f_render
 
 
-def _faces(seed: int = 0, batch: int = 2, size: int = 6) -> tuple[Decomposition, FaceBatch]:
+def _faces(seed: int = 0, batch: int = 2, size: int = 6) -> tuple[NetworkOutput, FaceBatch]:
     rng = torch.Generator().manual_seed(seed)
 
     def random(*shape: int) -> torch.Tensor:
         return torch.randn(*shape, generator=rng)
 
     shape = (batch, 3, size, size)
-    prediction = Decomposition(random(*shape), random(*shape).abs(), random(batch, 27))
+    prediction = NetworkOutput(random(*shape), random(*shape).abs(), random(batch, 27))
     mask = (random(batch, 1, size, size) > 0).float()
     target = FaceBatch(random(*shape).abs(), random(*shape), random(*shape).abs(), random(batch, 27), mask)
-    return Decomposition(*(t.requires_grad_() for t in prediction)), target
+    return NetworkOutput(*(t.requires_grad_() for t in prediction)), target
 
 
 @pytest.mark.parametrize("backend", ["drjit", "torch"])
@@ -56,7 +56,7 @@ def test_weights_choose_the_terms() -> None:
 
 def test_truth_has_no_loss_but_its_reconstruction() -> None:
     _, target = _faces()
-    truth = Decomposition(target.normal, target.albedo, target.light)
+    truth = NetworkOutput(target.normal, target.albedo, target.light)
     image = torch.from_numpy(f_render(*(t.numpy() for t in truth))).float()
     terms = sfsnet_loss(truth, target._replace(image=image))
     assert [t.item() for t in (terms.normal, terms.albedo, terms.light)] == [0, 0, 0]
@@ -73,7 +73,7 @@ def test_gradients_reach_all_three_heads_and_nothing_else(backend: Backend) -> N
 
 
 def test_backends_agree_on_the_total_and_its_gradients() -> None:
-    found: list[tuple[LossTerms, Decomposition]] = []
+    found: list[tuple[LossTerms, NetworkOutput]] = []
     for backend in ("drjit", "torch"):
         prediction, target = _faces(seed=1, size=64)
         terms = sfsnet_loss(prediction, target, backend="drjit" if backend == "drjit" else "torch")
@@ -89,7 +89,7 @@ def test_backends_agree_on_the_total_and_its_gradients() -> None:
 
 def test_bfloat16_predictions_give_float32_terms() -> None:
     prediction, target = _faces()
-    half = Decomposition(*(t.detach().bfloat16() for t in prediction))
+    half = NetworkOutput(*(t.detach().bfloat16() for t in prediction))
     assert all(t.dtype == torch.float32 for t in sfsnet_loss(half, target))
 
 

@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from sfsnet_dr.data.transforms.flip import flip_light, flip_map, flip_normal
-from sfsnet_dr.models.base import Decomposition
-from sfsnet_dr.models.inference import predict, predict_both_ways
+from sfsnet_dr.models.base import NetworkOutput
+from sfsnet_dr.models.inference import predict, predict_with_flip_tta
 from sfsnet_dr.models.sfsnet import SfSNet
 
 
@@ -20,7 +20,7 @@ def network() -> SfSNet:
 IMAGES = torch.rand(3, 3, 16, 16, generator=torch.Generator().manual_seed(1))
 
 
-def furthest(a: Decomposition, b: Decomposition) -> float:
+def furthest(a: NetworkOutput, b: NetworkOutput) -> float:
     return max(float((x - y).abs().max()) for x, y in zip(a, b, strict=True))
 
 
@@ -31,8 +31,8 @@ def test_batches_do_not_matter_and_the_mode_comes_back(network: SfSNet) -> None:
 
 
 def test_asked_both_ways_a_mirrored_face_has_the_mirrored_answer(network: SfSNet) -> None:
-    straight, mirrored = (predict_both_ways(network, images) for images in (IMAGES, flip_map(IMAGES)))
-    back = Decomposition(flip_normal(mirrored.normal), flip_map(mirrored.albedo), flip_light(mirrored.light))
+    straight, mirrored = (predict_with_flip_tta(network, images) for images in (IMAGES, flip_map(IMAGES)))
+    back = NetworkOutput(flip_normal(mirrored.normal), flip_map(mirrored.albedo), flip_light(mirrored.light))
     assert furthest(straight, back) < 1e-5
     once = [predict(network, images) for images in (IMAGES, flip_map(IMAGES))]
     assert (

@@ -8,7 +8,7 @@ from helpers.surfaces import plane_with_shade
 
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.metrics.equivalence import z_test
-from sfsnet_dr.render.aovs import Capture, capture
+from sfsnet_dr.render.aovs import TransportMaps, render_aovs
 from sfsnet_dr.scene.faces.face import sample_face
 from sfsnet_dr.scene.faces.pose import project
 from sfsnet_dr.scene.jit import dr, mi
@@ -31,23 +31,23 @@ def analytic(normal: np.ndarray, albedo: float) -> np.ndarray:
 
 def averaged(scene: SurfaceScene, samples: int, runs: int) -> tuple[np.ndarray, np.ndarray]:
     """Mean transport over independent runs and the variance of that mean."""
-    found = np.stack([capture(scene, samples, seed).transport.astype(np.float64) for seed in range(runs)])
+    found = np.stack([render_aovs(scene, samples, seed).transport.astype(np.float64) for seed in range(runs)])
     return found.mean(axis=0), found.var(axis=0, ddof=1) / runs
 
 
 @pytest.fixture(scope="module")
-def ball() -> Capture:
-    return capture(SurfaceScene(sphere(radius=0.8), SMALL), 64, 0)
+def ball() -> TransportMaps:
+    return render_aovs(SurfaceScene(sphere(radius=0.8), SMALL), 64, 0)
 
 
-def test_coverage_of_a_sphere_is_the_area_of_its_outline(ball: Capture) -> None:
+def test_coverage_of_a_sphere_is_the_area_of_its_outline(ball: TransportMaps) -> None:
     # A sphere of radius r at distance D is seen as a disc of radius D tan(asin(r / D)) at z = 0.
     outline = np.pi * (12 * np.tan(np.arcsin(0.8 / 12)) * SMALL.size / 2) ** 2
     # Seen 4e-4 off; each of about 100 border pixels has a stratified error below 1 / 64.
     assert ball.coverage.sum() == pytest.approx(outline, rel=2e-3)
 
 
-def test_normals_of_a_sphere_are_those_of_the_points_seen(ball: Capture) -> None:
+def test_normals_of_a_sphere_are_those_of_the_points_seen(ball: TransportMaps) -> None:
     size, distance, radius = SMALL.size, SMALL.distance, 0.8
     centre = (np.arange(size) + 0.5) * 2 / size - 1
     x, y = np.meshgrid(centre, -centre)
@@ -65,11 +65,11 @@ def test_normals_of_a_sphere_are_those_of_the_points_seen(ball: Capture) -> None
 
 def test_a_white_furnace_shades_a_plane_with_its_albedo_exactly() -> None:
     # Y_00 is constant and nothing blocks a ray, so that there is no noise: float32 sums of 64 values.
-    furnace = capture(SurfaceScene(plane(), SMALL), 64, 0).transport[0] * np.sqrt(4 * np.pi)
+    furnace = render_aovs(SurfaceScene(plane(), SMALL), 64, 0).transport[0] * np.sqrt(4 * np.pi)
     np.testing.assert_allclose(furnace, 0.5, rtol=2e-6)
 
 
-def test_a_white_furnace_shades_a_sphere_with_its_albedo_but_for_its_facets(ball: Capture) -> None:
+def test_a_white_furnace_shades_a_sphere_with_its_albedo_but_for_its_facets(ball: TransportMaps) -> None:
     furnace = ball.transport[0][ball.coverage == 1] * np.sqrt(4 * np.pi)
     assert furnace.max() <= 0.5 * (1 + 2e-6)  # no pixel reflects more than it gets
     # Facets of 1.9 degrees block directions that lie above the smooth normal's horizon by less than half of
@@ -80,7 +80,7 @@ def test_a_white_furnace_shades_a_sphere_with_its_albedo_but_for_its_facets(ball
 def test_transport_of_a_sphere_is_the_clamped_cosine_expansion() -> None:
     scene = SurfaceScene(sphere(radius=0.8), SMALL)
     mean, variance = averaged(scene, 64, 12)
-    maps = capture(scene, 256, 99)
+    maps = render_aovs(scene, 256, 99)
     inside = (maps.coverage == 1) & (maps.normal[..., 2] > 0.5)
     truth = analytic(maps.normal.astype(np.float64), 0.5)
     # Y(mean normal) against the mean of Y(normal) over a pixel: below 1.2e-3 here, where noise is about 1e-3.
@@ -101,10 +101,10 @@ def test_transport_of_a_plane_is_one_number_for_each_function() -> None:
 def test_a_shade_moves_with_the_mesh() -> None:
     """Updating a mesh through the wrong parameters leaves old triangles in the way of shadow rays."""
     scene = SurfaceScene(plane_with_shade(-0.4), SMALL)
-    before = capture(scene, 32, 0).transport[0, ..., 0]
+    before = render_aovs(scene, 32, 0).transport[0, ..., 0]
     scene.set_mesh(plane_with_shade(0.4))
-    moved = capture(scene, 32, 0)
-    fresh = capture(SurfaceScene(plane_with_shade(0.4), SMALL), 32, 0)
+    moved = render_aovs(scene, 32, 0)
+    fresh = render_aovs(SurfaceScene(plane_with_shade(0.4), SMALL), 32, 0)
     np.testing.assert_array_equal(moved.transport, fresh.transport)
     after = moved.transport[0, ..., 0]
     beside = np.s_[:6]  # rows above the shade, where the plane itself is seen: 8 % darker on its side
@@ -124,17 +124,17 @@ def test_relit_transport_is_mitsubas_direct_render_of_a_head() -> None:
     scene.set_environment(sky)
     light = project_equirect(sky, 2)
     assert np.abs(light.values - coefficients).max() < 4e-3  # bilinear texels of 2.8 degrees
-    runs = [relit(capture(scene, 128, seed), light) for seed in range(24)]
+    runs = [relit(render_aovs(scene, 128, seed), light) for seed in range(24)]
     image, variance = np.mean(runs, axis=0), np.var(runs, axis=0, ddof=1) / len(runs)
     direct, noise = mitsuba_direct(scene, 64, 24)
-    covered = capture(scene, 64, 0).coverage == 1
+    covered = render_aovs(scene, 64, 0).coverage == 1
     result = z_test(image, variance, direct, noise, mask=covered, allowance=1e-4)
     assert result.passed, result
     shaded = z_test(image * 1.01, variance, direct, noise, mask=covered, allowance=1e-4)
     assert not shaded.passed  # one per cent is seen
 
 
-def relit(maps: Capture, light: Radiance) -> np.ndarray:
+def relit(maps: TransportMaps, light: Radiance) -> np.ndarray:
     return np.asarray(np.einsum("khwc,kc->hwc", maps.transport.astype(np.float64), light.values))
 
 
@@ -150,19 +150,19 @@ def mitsuba_direct(scene: SurfaceScene, samples: int, runs: int) -> tuple[np.nda
     return images.mean(axis=0), images.var(axis=0, ddof=1) / runs
 
 
-def test_the_same_seed_gives_the_same_bytes_and_another_does_not(ball: Capture) -> None:
+def test_the_same_seed_gives_the_same_bytes_and_another_does_not(ball: TransportMaps) -> None:
     scene = SurfaceScene(sphere(radius=0.8), SMALL)
-    np.testing.assert_array_equal(capture(scene, 64, 0).transport, ball.transport)
-    assert np.abs(capture(scene, 64, 1).transport - ball.transport).max() > 1e-3
+    np.testing.assert_array_equal(render_aovs(scene, 64, 0).transport, ball.transport)
+    assert np.abs(render_aovs(scene, 64, 1).transport - ball.transport).max() > 1e-3
 
 
 def test_a_second_face_compiles_nothing() -> None:
     scene = SurfaceScene(sphere(radius=0.8), SMALL)
-    capture(scene, 16, 0)
+    render_aovs(scene, 16, 0)
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()
         scene.set_mesh(sphere(radius=0.7))
-        capture(scene, 33, 7)
+        render_aovs(scene, 33, 7)
         kernels = dr.kernel_history([dr.KernelType.JIT])
     assert kernels
     assert all(kernel["cache_hit"] for kernel in kernels)
@@ -171,7 +171,7 @@ def test_a_second_face_compiles_nothing() -> None:
 def test_mask_counts_pixels_that_are_face_skin_alone() -> None:
     spec = SceneSpec("head", "anny", camera=CameraSpec(size=64), head=HeadSpec(subdivision=1))
     face = sample_face(1, spec)
-    maps = capture(SurfaceScene(face.mesh, spec.camera), 16, 0)
+    maps = render_aovs(SurfaceScene(face.mesh, spec.camera), 16, 0)
     assert set(np.unique(maps.mask)) == {0.0, 1.0}
     assert (maps.coverage[maps.mask == 1] == 1).all()
     assert 0.2 < maps.mask.mean() < 0.7
@@ -183,7 +183,7 @@ def test_mask_counts_pixels_that_are_face_skin_alone() -> None:
 def test_a_bad_request_is_refused() -> None:
     scene = SurfaceScene(plane(), SMALL)
     with pytest.raises(InputError, match="samples: 0 "):
-        capture(scene, 0, 0)
+        render_aovs(scene, 0, 0)
     with pytest.raises(InputError, match="make a new SurfaceScene"):
         scene.set_mesh(sphere())
     with pytest.raises(InputError, match="environment: NaN, inf or negative"):

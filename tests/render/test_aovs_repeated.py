@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sfsnet_dr.core import runtime
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.render.aovs import CaptureOptions, capture
+from sfsnet_dr.render.aovs import TransportOptions, render_aovs
 from sfsnet_dr.scene.jit import dr
 from sfsnet_dr.scene.mesh import NO_REGION, Region, bowl, sphere
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
@@ -22,7 +22,7 @@ Array = NDArray[np.floating]
 
 SMALL = CameraSpec(size=32)
 TINY = CameraSpec(size=24)
-FULL = CaptureOptions(order=4, bounces=3, paths=4)
+FULL = TransportOptions(order=4, bounces=3, paths=4)
 
 
 @cache
@@ -34,7 +34,7 @@ def test_regions_are_those_of_most_of_the_pixel() -> None:
     mesh = bowl_and_ball()
     on_ball = np.arange(len(mesh.vertices)) >= len(bowl().vertices)
     mesh = replace(mesh, regions=np.where(on_ball, Region.IRIS, Region.EAR).astype(np.uint8))
-    maps = capture(SurfaceScene(mesh, SMALL), 16, 0)
+    maps = render_aovs(SurfaceScene(mesh, SMALL), 16, 0)
     labels = maps.regions
     assert set(np.unique(labels)) == {Region.EAR, Region.IRIS, NO_REGION}
     assert (labels[maps.coverage == 0] == NO_REGION).all()
@@ -48,28 +48,28 @@ def test_bytes_do_not_depend_on_the_number_of_threads() -> None:
     threads = runtime.threads()
     try:
         runtime.set_threads(1)
-        one = capture(scene_of(True), 8, 3, FULL, DIRECTIONS)
+        one = render_aovs(scene_of(True), 8, 3, FULL, DIRECTIONS)
         runtime.set_threads(3)
-        three = capture(scene_of(True), 8, 3, FULL, DIRECTIONS)
+        three = render_aovs(scene_of(True), 8, 3, FULL, DIRECTIONS)
     finally:
         runtime.set_threads(threads)
     for name in ("normal", "albedo", "coverage", "transport", "gloss", "lamps"):
         np.testing.assert_array_equal(getattr(one, name), getattr(three, name))
     assert one.rays == three.rays
-    other = capture(scene_of(True), 8, 4, FULL, DIRECTIONS)
+    other = render_aovs(scene_of(True), 8, 4, FULL, DIRECTIONS)
     assert np.abs(one.transport - other.transport).max() > 1e-3
 
 
 def test_a_second_face_compiles_nothing() -> None:
     """Another mesh, camera, seed, number of samples, of paths, and other lights: the kernels stay."""
     scene = SurfaceScene(bowl_and_ball(), SMALL, gloss=True)
-    capture(scene, 8, 0, FULL, DIRECTIONS)
+    render_aovs(scene, 8, 0, FULL, DIRECTIONS)
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()
         for seed, shift in enumerate([(0.0, 0.2, 0.1), (-0.3, 0.0, 0.0), (0.1, 0.1, 0.1)]):
             scene.set_camera(replace(SMALL, distance=9.0 + seed))
             scene.set_mesh(bowl_and_ball(shift))
-            capture(scene, 5 + seed, seed, replace(FULL, paths=3 + seed), DIRECTIONS[[2, 0, 1]])
+            render_aovs(scene, 5 + seed, seed, replace(FULL, paths=3 + seed), DIRECTIONS[[2, 0, 1]])
         kernels = dr.kernel_history([dr.KernelType.JIT])
     assert len(kernels) >= 3
     assert [kernel["hash"] for kernel in kernels if not kernel["cache_hit"]] == []
@@ -77,7 +77,7 @@ def test_a_second_face_compiles_nothing() -> None:
 
 def test_an_empty_picture_is_black() -> None:
     aside = replace(sphere(), vertices=sphere().vertices + np.array([5.0, 0.0, 0.0]))
-    maps = capture(SurfaceScene(aside, TINY, gloss=True), 4, 0, FULL, DIRECTIONS)
+    maps = render_aovs(SurfaceScene(aside, TINY, gloss=True), 4, 0, FULL, DIRECTIONS)
     assert maps.transport.shape == (25, 24, 24, 3)
     assert maps.gloss.shape == (9, 24, 24)
     assert maps.lamps.shape == (3, 24, 24, 3)
@@ -89,12 +89,12 @@ def test_an_empty_picture_is_black() -> None:
 def test_impossible_requests_are_refused() -> None:
     scene = scene_of(True)
     with pytest.raises(InputError, match="samples: 0 found"):
-        capture(scene, 0, 0)
+        render_aovs(scene, 0, 0)
     with pytest.raises(InputError, match="samples times paths: 80000 found"):
-        capture(scene, 20000, 0, FULL)
+        render_aovs(scene, 20000, 0, FULL)
     with pytest.raises(InputError, match="samples times paths: 2 found, 3 lights need as many"):
-        capture(scene, 2, 0, CaptureOptions(), DIRECTIONS)
+        render_aovs(scene, 2, 0, TransportOptions(), DIRECTIONS)
     with pytest.raises(InputError, match="directions: lengths 2 to 2 found"):
-        capture(scene, 4, 0, FULL, 2 * DIRECTIONS[:1])
+        render_aovs(scene, 4, 0, FULL, 2 * DIRECTIONS[:1])
     with pytest.raises(InputError, match="sampler: 'halton'"):
-        capture(scene, 4, 0, CaptureOptions(sampler="halton"))  # type: ignore[arg-type]
+        render_aovs(scene, 4, 0, TransportOptions(sampler="halton"))  # type: ignore[arg-type]

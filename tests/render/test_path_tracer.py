@@ -7,7 +7,7 @@ import pytest
 
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.metrics.equivalence import z_test
-from sfsnet_dr.render.aovs import capture
+from sfsnet_dr.render.aovs import render_aovs
 from sfsnet_dr.render.path_tracer import path_trace
 from sfsnet_dr.render.shading_numpy import f_render
 from sfsnet_dr.scene.jit import mi
@@ -64,7 +64,7 @@ def test_irradiance_on_a_sphere_under_an_sh_environment_is_the_oracles() -> None
     assert sky.min() > 0
     scene.set_environment(sky)
     image = path_trace(scene, 1024, 0, depth=2)
-    maps = capture(scene, 64, 0)
+    maps = render_aovs(scene, 64, 0)
     inside = (maps.coverage == 1) & (maps.normal[..., 2] > 0.4)
     light = project_equirect(sky, 2).to_shading().flat()[None]
     oracle = f_render(

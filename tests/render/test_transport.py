@@ -9,7 +9,7 @@ import pytest
 from helpers.bowls import bowl_and_ball
 from numpy.typing import NDArray
 
-from sfsnet_dr.render.aovs import CaptureOptions, capture
+from sfsnet_dr.render.aovs import TransportOptions, render_aovs
 from sfsnet_dr.scene.jit import mi, upload
 from sfsnet_dr.scene.mesh import bowl, joined, sphere
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene, camera_rays
@@ -18,7 +18,7 @@ from sfsnet_dr.scene.spec import CameraSpec
 Array = NDArray[np.float64]
 
 SMALL = CameraSpec(size=32)
-FULL = CaptureOptions(order=4, bounces=3, paths=4)
+FULL = TransportOptions(order=4, bounces=3, paths=4)
 WHITE = np.sqrt(4 * np.pi)  # the coefficient of radiance 1 from everywhere
 
 
@@ -31,7 +31,7 @@ def test_light_between_the_points_of_a_bowl_is_a_geometric_series(bounces: int) 
     """
     colour = np.array([0.2, 0.5, 0.8])
     scene = SurfaceScene(bowl(tuple(colour)), SMALL)
-    maps = capture(scene, 64, 0, replace(FULL, bounces=bounces))
+    maps = render_aovs(scene, 64, 0, replace(FULL, bounces=bounces))
     inside = maps.coverage == 1
     inside &= np.hypot(*np.meshgrid(*[np.linspace(-1, 1, 32)] * 2)) < 0.8  # away from the facets of the rim
     seen = maps.transport[0][inside] * WHITE
@@ -48,8 +48,10 @@ def test_a_lamp_into_a_bowl_is_spread_evenly_by_its_first_bounce() -> None:
     """
     albedo = 0.6
     lamp = np.array([[0.0, 0.0, 1.0]])
-    with_bounces = capture(SurfaceScene(bowl((albedo,) * 3), SMALL), 32, 0, replace(FULL, bounces=2), lamp)
-    without = capture(SurfaceScene(bowl((albedo,) * 3), SMALL), 32, 0, replace(FULL, bounces=0), lamp)
+    with_bounces = render_aovs(
+        SurfaceScene(bowl((albedo,) * 3), SMALL), 32, 0, replace(FULL, bounces=2), lamp
+    )
+    without = render_aovs(SurfaceScene(bowl((albedo,) * 3), SMALL), 32, 0, replace(FULL, bounces=0), lamp)
     inside = without.coverage == 1
     inside &= np.hypot(*np.meshgrid(*[np.linspace(-1, 1, 32)] * 2)) < 0.8
     depth = np.abs(without.normal[..., 2])[inside]
@@ -67,7 +69,7 @@ def test_gloss_in_a_white_sky_is_the_reflectance_of_the_lobes() -> None:
         ball = sphere(radius=0.8, albedo=(0.0, 0.0, 0.0))
         ball = replace(ball, roughness_mix=np.full(len(ball.vertices), mix))
         scene = SurfaceScene(ball, SMALL, gloss=True)
-        maps = capture(scene, 64, 0, FULL)
+        maps = render_aovs(scene, 64, 0, FULL)
         for row in (16, 8, 4):
             cosine = float(maps.normal[row, 16] @ toward_viewer(row))
             expected = reflectance(scene, cosine)
@@ -80,7 +82,7 @@ def test_albedo_under_gloss_is_what_is_seen_straight_on_in_a_white_sky() -> None
     for mix in (0.0, 0.4, 1.0):
         ball = sphere(radius=0.9, albedo=(0.1, 0.4, 0.7))
         ball = replace(ball, roughness_mix=np.full(len(ball.vertices), mix))
-        maps = capture(SurfaceScene(ball, SMALL, gloss=True), 16, 0, FULL)
+        maps = render_aovs(SurfaceScene(ball, SMALL, gloss=True), 16, 0, FULL)
         # Nothing shadows the ball, so that T has no noise; a pixel in the middle is seen from 2 degrees.
         np.testing.assert_allclose(maps.transport[0, 16, 16] * WHITE, (0.1, 0.4, 0.7), rtol=1e-3)
         np.testing.assert_allclose(maps.albedo[16, 16], (0.1, 0.4, 0.7), rtol=1e-5)
@@ -115,7 +117,7 @@ def reflectance(scene: SurfaceScene, cosine: float) -> float:
 def test_no_pixel_reflects_more_than_it_gets(gloss: bool) -> None:
     white = bowl_and_ball()
     white = replace(white, albedo=np.full_like(white.albedo, 0.9 if gloss else 1.0))
-    maps = capture(SurfaceScene(white, SMALL, gloss=gloss), 16, 0, replace(FULL, bounces=8))
+    maps = render_aovs(SurfaceScene(white, SMALL, gloss=gloss), 16, 0, replace(FULL, bounces=8))
     total = maps.transport[0] * WHITE
     if gloss:
         total = total + maps.gloss[0, ..., None] * WHITE
@@ -133,7 +135,7 @@ def test_light_that_a_ball_keeps_off_a_ball_is_not_there() -> None:
     near = sphere(radius=0.2, rings=48)
     near = replace(near, vertices=near.vertices + 0.75 * lamp[0])
     scene = SurfaceScene(joined(sphere(radius=0.4, rings=48), near), SMALL)
-    maps = capture(scene, 16, 0, replace(FULL, bounces=0), lamp)
+    maps = render_aovs(scene, 16, 0, replace(FULL, bounces=0), lamp)
     ball = (maps.coverage == 1) & (np.abs(maps.albedo[..., 0] - 0.5) < 1e-3)
     point = maps.normal * 0.4  # of the ball at the origin
     off_axis = np.linalg.norm(point - (point @ lamp[0])[..., None] * lamp[0], axis=-1)

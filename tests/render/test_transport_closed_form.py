@@ -16,7 +16,7 @@ from sfsnet_dr.data.relight import Mixture, relight_scene
 from sfsnet_dr.data.transforms.flip import flip_transport
 from sfsnet_dr.metrics.equivalence import z_test
 from sfsnet_dr.metrics.noise_free import bias_squared
-from sfsnet_dr.render.aovs import Capture, CaptureOptions, capture
+from sfsnet_dr.render.aovs import TransportMaps, TransportOptions, render_aovs
 from sfsnet_dr.render.path_tracer import path_trace
 from sfsnet_dr.scene.lights.equirect import MAP_SIZE
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
@@ -29,14 +29,14 @@ Array = NDArray[np.float64]
 Image = NDArray[np.floating]
 
 TINY = CameraSpec(size=24)
-FULL = CaptureOptions(order=4, bounces=3, paths=4)
+FULL = TransportOptions(order=4, bounces=3, paths=4)
 
 
 def averaged(
     scene: SurfaceScene, runs: int, directions: Array | None = None, samples: int = 16
-) -> list[Capture]:
+) -> list[TransportMaps]:
     """Captures of independent seeds."""
-    return [capture(scene, samples, seed, FULL, directions) for seed in range(runs)]
+    return [render_aovs(scene, samples, seed, FULL, directions) for seed in range(runs)]
 
 
 def mean_and_variance(images: Sequence[Image]) -> tuple[Array, Array]:
@@ -102,7 +102,7 @@ def test_relit_images_are_the_path_tracers(gloss: bool) -> None:
 
 def relit_without_bounces(gloss: bool, light: Mixture) -> Array:
     options = replace(FULL, bounces=0)
-    maps = [capture(scene_of(gloss), 16, seed, options, DIRECTIONS) for seed in range(16)]
+    maps = [render_aovs(scene_of(gloss), 16, seed, options, DIRECTIONS) for seed in range(16)]
     return np.asarray(np.mean([relight_scene(m.transport, m.gloss, m.lamps, light) for m in maps], axis=0))
 
 
@@ -135,7 +135,7 @@ def test_light_and_viewer_can_change_places() -> None:
 
 
 def total(scene: SurfaceScene, lamp: Array) -> Array:
-    runs = [capture(scene, 64, seed, replace(FULL, bounces=5), lamp[None]).lamps[0] for seed in range(4)]
+    runs = [render_aovs(scene, 64, seed, replace(FULL, bounces=5), lamp[None]).lamps[0] for seed in range(4)]
     return np.asarray(np.mean(runs, axis=0).sum(axis=(0, 1)), dtype=np.float64)
 
 

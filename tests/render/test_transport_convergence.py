@@ -11,7 +11,7 @@ import pytest
 from helpers.bowls import bowl_and_ball
 from numpy.typing import NDArray
 
-from sfsnet_dr.render.aovs import CaptureOptions, capture
+from sfsnet_dr.render.aovs import TransportOptions, render_aovs
 from sfsnet_dr.render.path_tracer import path_trace
 from sfsnet_dr.render.renderers.base import Budget
 from sfsnet_dr.render.renderers.registry import find_renderer
@@ -63,7 +63,7 @@ def traced_ball() -> tuple[Array, NDArray[np.bool_]]:
     for light in lamps():
         scene.set_directional(light.directional)
         images.append(path_trace(scene, 32, 0, depth=2).mean)
-    return np.array(images), capture(scene, 64, 0).coverage == 1
+    return np.array(images), render_aovs(scene, 64, 0).coverage == 1
 
 
 @pytest.mark.parametrize(("order", "name"), [(order, name) for order in MODELS for name in MODELS[order]])
@@ -144,10 +144,10 @@ def test_the_path_tracers_error_falls_as_one_over_the_root_of_the_samples() -> N
 def test_noise_of_transport_falls_at_least_as_fast(sampler: Sampler) -> None:
     """Light seen directly, where points of low discrepancy help; independent ones give the root law."""
     samples = (4, 16, 64, 256)
-    options = CaptureOptions(order=1, sampler=sampler)
+    options = TransportOptions(order=1, sampler=sampler)
 
     def render(count: int, seed: int) -> Image:
-        return capture(hollow(), count, seed, options).transport
+        return render_aovs(hollow(), count, seed, options).transport
 
     truth = render(4096, 999)
     fit = fitted(samples, errors_of(render, samples, 3, truth))
@@ -163,10 +163,10 @@ def test_noise_of_transport_falls_at_least_as_fast(sampler: Sampler) -> None:
 def test_noise_of_transport_with_bounces_falls_at_least_as_fast() -> None:
     """Further points of a path have independent numbers: the root law in the end, and never slower."""
     samples = (4, 16, 64)
-    options = CaptureOptions(order=1, bounces=3, paths=2)
+    options = TransportOptions(order=1, bounces=3, paths=2)
 
     def render(count: int, seed: int) -> Image:
-        return capture(hollow(), count, seed, options).transport
+        return render_aovs(hollow(), count, seed, options).transport
 
     truth = render(2048, 999)
     fit = fitted(samples, errors_of(render, samples, 3, truth))
@@ -184,7 +184,7 @@ def test_no_scene_reflects_more_than_it_gets(shape: str) -> None:
     scene = SurfaceScene(SHAPES[shape]((1.0, 1.0, 1.0)), SMALL)
     scene.set_environment(1.0)
     image = path_trace(scene, 256, 0)
-    maps = capture(scene, 64, 0, CaptureOptions(order=0, bounces=12, paths=4))
+    maps = render_aovs(scene, 64, 0, TransportOptions(order=0, bounces=12, paths=4))
     inside = maps.coverage == 1
     # The interpolated normals of facets lean off them by up to half their angle to the next: a share of light
     # from below the facet is lost, .1 % seen on the spheres, times 2; nothing may be gained beyond noise.

@@ -18,7 +18,7 @@ from sfsnet_dr.data.pseudo_labels import decoded, encoded, load_pseudo_labels
 from sfsnet_dr.data.transforms.background import Augmentation
 from sfsnet_dr.data.transforms.crop import View
 from sfsnet_dr.data.transforms.flip import flip_light, flip_map, flip_normal
-from sfsnet_dr.models.base import Decomposition
+from sfsnet_dr.models.base import NetworkOutput
 from sfsnet_dr.models.sfsnet import SfSNet
 from sfsnet_dr.models.weights import save_weights
 from sfsnet_dr.render.shading_torch import f_render
@@ -35,13 +35,13 @@ class Frank(nn.Module):
         super().__init__()
         self.sides = sides
 
-    def forward(self, image: Tensor) -> Decomposition:
+    def forward(self, image: Tensor) -> NetworkOutput:
         slope = image[:, 1:2] - image[:, 1:2].mean((2, 3), keepdim=True)
         x = torch.zeros_like(slope) + (0.5 if self.sides else 0.0)  # the same x for a mirror image is wrong
         normal = torch.cat([x, slope, torch.ones_like(slope)], 1)
         light = image.mean((2, 3)).repeat_interleave(9, dim=1)
         light[:, torch.tensor(odd()).repeat(3)] = 0
-        return Decomposition(normal / normal.norm(dim=1, keepdim=True), image * 0.5, light)
+        return NetworkOutput(normal / normal.norm(dim=1, keepdim=True), image * 0.5, light)
 
 
 def odd() -> list[bool]:

@@ -16,7 +16,7 @@ from sfsnet_dr.data.mixed_batch import MixedBatch, RealFaces, RealOptions, RealT
 from sfsnet_dr.data.normal_dataset import SurfaceFaces, SurfaceOptions
 from sfsnet_dr.data.pseudo_labels import load_pseudo_labels
 from sfsnet_dr.losses.sfsnet import LossWeights, light_trust, mixed_loss
-from sfsnet_dr.models.base import Decomposition
+from sfsnet_dr.models.base import NetworkOutput
 from sfsnet_dr.train.sources import real_part
 from sfsnet_dr.train.trainer import train
 
@@ -32,9 +32,9 @@ def test_a_lamp_behind_a_face_does_not_outweigh_the_others() -> None:
     torch.testing.assert_close(trust, 1 / strength.clamp_min(1))
     told = real._replace(free_scale=torch.zeros(4, dtype=torch.bool))
     assert torch.equal(light_trust(real.faces.light, told), told.light_trust)
-    answer = Decomposition(real.faces.normal, real.faces.albedo, 0.9 * real.faces.light)
+    answer = NetworkOutput(real.faces.normal, real.faces.albedo, 0.9 * real.faces.light)
     labelled = real.faces._replace(light=answer.light)
-    both = Decomposition(*(torch.cat([part, part]) for part in answer))
+    both = NetworkOutput(*(torch.cat([part, part]) for part in answer))
     _, _, terms = mixed_loss(both, MixedBatch(labelled, real), LossWeights(), LossWeights(), "torch")
     assert 0.01 / 4 < float(terms.light) <= 0.01 * 1.0001
 

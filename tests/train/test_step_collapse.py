@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from sfsnet_dr.data.batch import FaceBatch
-from sfsnet_dr.models.base import Decomposition
+from sfsnet_dr.models.base import NetworkOutput
 from sfsnet_dr.train.step import SMALLEST, STEPS, Watch, spread_ratios
 
 
@@ -22,14 +22,14 @@ def faces() -> FaceBatch:
 
 def test_ratios_are_those_of_the_variation_on_the_face() -> None:
     batch = faces()
-    perfect = spread_ratios(Decomposition(batch.normal, batch.albedo, batch.light), batch)
+    perfect = spread_ratios(NetworkOutput(batch.normal, batch.albedo, batch.light), batch)
     assert perfect == {"normal": pytest.approx(1), "albedo": pytest.approx(1)}
     # A tenth of the variation about any constant on the face; beside it anything may stand.
     pale = 0.3 + 0.1 * batch.albedo
     pale[..., 4:] = torch.rand(2, 3, 8, 4)
     flat = torch.zeros_like(batch.normal)
     flat[:, 2] = 1
-    assert spread_ratios(Decomposition(flat, pale, batch.light), batch) == {
+    assert spread_ratios(NetworkOutput(flat, pale, batch.light), batch) == {
         "normal": pytest.approx(0, abs=1e-6),
         "albedo": pytest.approx(0.1, rel=1e-4),
     }

@@ -24,7 +24,7 @@ from sfsnet_dr.experiments.evaluation.samples import Collection
 from sfsnet_dr.experiments.pipeline.holdout_split import held_pictures, on_rendered
 from sfsnet_dr.inference.methods import NetworkMethod
 from sfsnet_dr.metrics.bootstrap import interval
-from sfsnet_dr.models.inference import Trained
+from sfsnet_dr.models.inference import LoadedModel
 from sfsnet_dr.report.console import bar
 from sfsnet_dr.train.logging import read_history
 from sfsnet_dr.train.run import HISTORY, WEIGHTS
@@ -155,7 +155,7 @@ def _held(plan: Plan) -> tuple[FaceBatch, list[int]]:
     return pictures.batch(0), pictures.indices(0)
 
 
-def _on_rendered(trained: Trained, truth: FaceBatch, shown: Sequence[int]) -> Array:
+def _on_rendered(trained: LoadedModel, truth: FaceBatch, shown: Sequence[int]) -> Array:
     """(P, 3) sums over the pictures of each face; a network of display-referred values sees them encoded."""
     if trained.values == "display":
         truth = truth._replace(image=linear_to_srgb(truth.image.clamp(0, 1)))

@@ -21,7 +21,7 @@ from sfsnet_dr.data.bundle import write_bundle
 from sfsnet_dr.data.generate import render_bundle, render_file
 from sfsnet_dr.experiments.benchmarks.common import bare_ray_tests, kernel_times
 from sfsnet_dr.experiments.benchmarks.naive_rendering import PlainRender, noise_of, plain_render, variances_of
-from sfsnet_dr.render.aovs import Capture, CaptureOptions, capture
+from sfsnet_dr.render.aovs import TransportMaps, TransportOptions, render_aovs
 from sfsnet_dr.render.sobol import SAMPLERS, Sampler
 from sfsnet_dr.report.html import Figure, KeyNumbers, Section, Table, write_page
 from sfsnet_dr.report.plots import noise_plot
@@ -76,16 +76,16 @@ class Bench:
         directions = np.array([sample_direction(rng) for _ in range(spec.sampling.directions)])
         return Bench(face, scene, spec, directions.reshape(-1, 3), seed)
 
-    def options(self, sampler: Sampler = "sobol") -> CaptureOptions:
+    def options(self, sampler: Sampler = "sobol") -> TransportOptions:
         """The spec's, for a sampler."""
-        return CaptureOptions(MAP_ORDER, self.spec.sampling.bounces, self.spec.sampling.paths, sampler)
+        return TransportOptions(MAP_ORDER, self.spec.sampling.bounces, self.spec.sampling.paths, sampler)
 
-    def captures(self, samples: int, sampler: Sampler = "sobol") -> tuple[list[Capture], float]:
+    def captures(self, samples: int, sampler: Sampler = "sobol") -> tuple[list[TransportMaps], float]:
         """Captures of independent seeds, and the median time of one, compiled and warm."""
         options = self.options(sampler)
-        capture(self.scene, samples, self.seed, options, self.directions)
+        render_aovs(self.scene, samples, self.seed, options, self.directions)
         timed = [
-            _timed(lambda k=k: capture(self.scene, samples, self.seed + k, options, self.directions))  # type: ignore[misc]
+            _timed(lambda k=k: render_aovs(self.scene, samples, self.seed + k, options, self.directions))  # type: ignore[misc]
             for k in range(RUNS)
         ]
         return [maps for maps, _ in timed], float(np.median([seconds for _, seconds in timed]))
@@ -243,10 +243,12 @@ def _against_rays(bench: Bench) -> dict[str, tuple[float, str]]:
         rates.append(captures[0].rays / seconds)
         limits.append(bare_ray_tests(bench.scene, 32, repeats=3))
     times = kernel_times(
-        lambda: capture(bench.scene, sampling.transport, 0, bench.options(), bench.directions)
+        lambda: render_aovs(bench.scene, sampling.transport, 0, bench.options(), bench.directions)
     )
     largest = max(times, key=lambda kernel: kernel.operations)
-    _, whole = _timed(lambda: capture(bench.scene, sampling.transport, 0, bench.options(), bench.directions))
+    _, whole = _timed(
+        lambda: render_aovs(bench.scene, sampling.transport, 0, bench.options(), bench.directions)
+    )
     rate, limit = float(np.median(rates)), float(np.median(limits))
     return {
         "rays_per_capture": (captures[0].rays, "rays"),

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sfsnet_dr.render.aovs import Capture
+from sfsnet_dr.render.aovs import TransportMaps
 from sfsnet_dr.scene.jit import mi
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
 
@@ -82,7 +82,7 @@ class Variances:
     lamps: float
 
 
-def noise_of(captures: list[Capture]) -> Noise:
+def noise_of(captures: list[TransportMaps]) -> Noise:
     """Noise of one capture, estimated from several."""
     white = np.mean([maps.transport[0] for maps in captures], axis=0)[captures[0].mask > 0]
     scale = float(np.sqrt(np.mean(white**2)))
@@ -90,7 +90,7 @@ def noise_of(captures: list[Capture]) -> Noise:
     return Noise(*(float(np.sqrt(value)) / scale for value in (spread.transport, spread.gloss, spread.lamps)))
 
 
-def variances_of(captures: list[Capture]) -> Variances:
+def variances_of(captures: list[TransportMaps]) -> Variances:
     """Mean variance over face pixels, colours and the responses of a kind."""
     mask = captures[0].mask > 0
 

@@ -28,7 +28,7 @@ from sfsnet_dr.data.generate import identity
 from sfsnet_dr.data.relight import Mixture, mixture, relight_scene
 from sfsnet_dr.inference.visualize import on_white, png_bytes, show_linear
 from sfsnet_dr.metrics.bootstrap import interval
-from sfsnet_dr.render.aovs import Capture, CaptureOptions, capture
+from sfsnet_dr.render.aovs import TransportMaps, TransportOptions, render_aovs
 from sfsnet_dr.render.path_tracer import path_trace
 from sfsnet_dr.report.html import Block, Gallery, KeyNumbers, Note, Section, Table, write_page
 from sfsnet_dr.report.record import Record, measured, write_records
@@ -104,9 +104,11 @@ class RelitFaces:
         spec, face = self._spec, sample_face(seed, self._spec)
         view = _View(face.mesh, face.pose.camera(spec.camera), seed)
         directions = _directions(seed, spec.sampling.directions)
-        options = CaptureOptions(MAP_ORDER, spec.sampling.bounces, spec.sampling.paths)
+        options = TransportOptions(MAP_ORDER, spec.sampling.bounces, spec.sampling.paths)
         scene = self._show(view, Light("white", np.ones((*MAP_SIZE, 3))), spec.has_gloss)
-        pair = [capture(scene, spec.sampling.transport, 2 * seed + k, options, directions) for k in range(2)]
+        pair = [
+            render_aovs(scene, spec.sampling.transport, 2 * seed + k, options, directions) for k in range(2)
+        ]
         black, found = view.black(), []
         for number, kind in enumerate(KINDS):
             if kind in self._kinds:
@@ -117,7 +119,7 @@ class RelitFaces:
         return FaceErrors(squared, relit.astype(np.float32), traced.astype(np.float32), pair[0].coverage)
 
     def _measure(
-        self, pair: Sequence[Capture], directions: Array, light: Light, view: _View, black: _View
+        self, pair: Sequence[TransportMaps], directions: Array, light: Light, view: _View, black: _View
     ) -> tuple[Array, Array, Array]:
         """Squared errors (len(PARTS),) under one light, and the two images."""
         weights, depth = mixture(light, directions, MAP_ORDER), self._spec.sampling.bounces + 2
@@ -181,7 +183,7 @@ def _light(spec: LightSpec, kind: LightKind, rng: np.random.Generator, direction
     return sample_scene_light(rng, replace(spec, **only), directions)  # type: ignore[arg-type]
 
 
-def _gloss(maps: Capture, weights: Mixture) -> Array:
+def _gloss(maps: TransportMaps, weights: Mixture) -> Array:
     """What the relit image holds of the light's mirror image."""
     return np.asarray(np.einsum("khw,kc->hwc", maps.gloss, weights.radiance[: len(maps.gloss)]))
 

@@ -23,7 +23,7 @@ from sfsnet_dr.core.host import keep_freed_memory
 from sfsnet_dr.data.batch import FaceBatch
 from sfsnet_dr.data.dataset import RelitFaces, load_faces
 from sfsnet_dr.experiments.benchmarks.common import Times, contest
-from sfsnet_dr.models.base import Decomposition
+from sfsnet_dr.models.base import NetworkOutput
 from sfsnet_dr.report.record import Record, measured
 from sfsnet_dr.scene.lights.cache import draw_bank
 from sfsnet_dr.train.config import ComputeRecipe, Recipe, multiplies_bfloat16
@@ -174,10 +174,10 @@ def _contenders(recipe: Recipe, batches: RelitFaces, team: Team) -> dict[str, Ca
     batch = batches.batch(0)
     model = recipe.make_model()
     team.prepare(model)
-    answer = Decomposition(*(part.detach() for part in predicted(model, batch.image, recipe)))
+    answer = NetworkOutput(*(part.detach() for part in predicted(model, batch.image, recipe)))
 
     def loss() -> None:
-        leaves = Decomposition(*(part.requires_grad_() for part in answer))
+        leaves = NetworkOutput(*(part.requires_grad_() for part in answer))
         total, _ = batch_loss(leaves, batch, recipe)
         torch.autograd.grad(total, leaves)
 

@@ -8,7 +8,7 @@ from typing import Any, Final
 from sfsnet_dr.data.bundle import Bundle
 from sfsnet_dr.experiments.doctor import Report
 from sfsnet_dr.experiments.validation.summary import Study
-from sfsnet_dr.inference.outputs import Decomposed
+from sfsnet_dr.inference.outputs import Decomposition
 from sfsnet_dr.metrics.normals import NormalErrors
 from sfsnet_dr.report.record import Record
 from sfsnet_dr.scene.spec import SceneSpec
@@ -43,8 +43,8 @@ class DemoResult:
     studies: tuple[Study, ...]
     training: TrainResult
     history: list[dict[str, Any]]
-    photograph: Decomposed
-    synthetic: Decomposed
+    photograph: Decomposition
+    synthetic: Decomposition
     truth: Bundle
     normal_errors: NormalErrors
     own_errors: NormalErrors

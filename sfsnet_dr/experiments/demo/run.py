@@ -24,9 +24,9 @@ from sfsnet_dr.experiments.validation.records import study_records
 from sfsnet_dr.experiments.validation.run import measure
 from sfsnet_dr.experiments.validation.summary import Study
 from sfsnet_dr.inference.decompose import Picture, reconstruction_error, take_apart
-from sfsnet_dr.inference.outputs import Decomposed, write_decomposed
+from sfsnet_dr.inference.outputs import Decomposition, write_decomposition
 from sfsnet_dr.metrics.normals import NormalErrors, angular_error_deg
-from sfsnet_dr.models.inference import load_trained
+from sfsnet_dr.models.inference import load_model
 from sfsnet_dr.models.shipped import BEST
 from sfsnet_dr.report.console import bar
 from sfsnet_dr.report.record import Record, measured, write_records
@@ -79,7 +79,7 @@ def run_demo(out: Path | str, root: Path | str = ".", *, console: Console | None
     truth = render_bundle(spec, UNSEEN_SEED)
     photograph, synthetic = _decompose([astronaut(), _unseen(truth)], BEST)
     for face in (photograph, synthetic):
-        write_decomposed(folder, face, {})
+        write_decomposition(folder, face, {})
     [own] = _decompose([_unseen(truth)], training.weights)
     errors, own_errors = (angular_error_deg(f.normal, truth.normal, truth.mask) for f in (synthetic, own))
     records = _records(studies, training, photograph, synthetic, errors)
@@ -181,16 +181,16 @@ def _unseen(truth: Bundle) -> Picture:
     return Picture("unseen-face", (truth.reference + background).astype(np.float32), truth.mask)
 
 
-def _decompose(pictures: Sequence[Picture], weights: Path | str) -> list[Decomposed]:
-    trained = load_trained(weights)
+def _decompose(pictures: Sequence[Picture], weights: Path | str) -> list[Decomposition]:
+    trained = load_model(weights)
     return take_apart(trained.model, pictures, view=trained.view, values=trained.values)
 
 
 def _records(
     studies: tuple[Study, ...],
     training: TrainResult,
-    photograph: Decomposed,
-    synthetic: Decomposed,
+    photograph: Decomposition,
+    synthetic: Decomposition,
     errors: NormalErrors,
 ) -> list[Record]:
     records = [r for study in studies for r in study_records(study, TOLERANCE, _COMMAND, 0) if _brief(r)]

@@ -17,7 +17,7 @@ from sfsnet_dr.data.databases.base import frontal_mask, heading
 from sfsnet_dr.estimation.light_intensities import Shots, estimate_strobes
 from sfsnet_dr.estimation.photometric_stereo import photometric_stereo
 from sfsnet_dr.metrics.normals import angles_deg
-from sfsnet_dr.render.aovs import CaptureOptions, capture
+from sfsnet_dr.render.aovs import TransportOptions, render_aovs
 from sfsnet_dr.scene.faces.face import sample_face
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
 from sfsnet_dr.scene.spec import CameraSpec, HeadSpec, SceneSpec
@@ -115,7 +115,7 @@ def _render(
     """Pictures (N, S, S, 3) exposed for 8 bits and rounded to them, normals and mask."""
     face = sample_face(seed, spec)
     scene = SurfaceScene(face.mesh, face.pose.camera(spec.camera), gloss=spec.has_gloss)
-    found = capture(scene, samples, seed, CaptureOptions(bounces=2), lights)
+    found = render_aovs(scene, samples, seed, TransportOptions(bounces=2), lights)
     block = frontal_mask().shape[0] // spec.camera.size
     ellipse = frontal_mask().reshape(spec.camera.size, block, spec.camera.size, block).mean((1, 3))
     mask = (found.mask > 0.99) & (ellipse > 0.5)

@@ -22,8 +22,8 @@ from sfsnet_dr.data.pseudo_labels import Values, as_network_input
 from sfsnet_dr.data.transforms.background import Augmentation
 from sfsnet_dr.metrics.bootstrap import interval
 from sfsnet_dr.metrics.normals import angular_error_deg
-from sfsnet_dr.models.base import Decomposition
-from sfsnet_dr.models.inference import Trained, predict_both_ways
+from sfsnet_dr.models.base import NetworkOutput
+from sfsnet_dr.models.inference import LoadedModel, predict_with_flip_tta
 from sfsnet_dr.render.shading_torch import f_render
 from sfsnet_dr.report.record import Record, measured
 from sfsnet_dr.scene.lights.cache import draw_bank
@@ -58,7 +58,7 @@ def held_pictures(faces: Faces, augmentation: Augmentation, count: int) -> Relit
     return RelitFaces(faces, count, augmentation, _SEED, bank)
 
 
-def on_rendered(trained: Trained, truth: FaceBatch) -> Numbers:
+def on_rendered(trained: LoadedModel, truth: FaceBatch) -> Numbers:
     """Errors of each image against its truth, on the mask.
 
     ``normals``: mean angle, and the share of pixels below 20 and 30 degrees. ``albedo.mae``: mean absolute
@@ -66,20 +66,20 @@ def on_rendered(trained: Trained, truth: FaceBatch) -> Numbers:
     strength. ``light.relative``: length of the error of the 27 coefficients over that of the coefficients.
     ``recon``: see ``on_photographs``.
     """
-    answer = predict_both_ways(trained.model, truth.image)
+    answer = predict_with_flip_tta(trained.model, truth.image)
     rows = [_truth_errors(answer, truth, index) for index in range(len(truth.image))]
     numbers = {name: np.array([row[name] for row in rows]) for name in rows[0]}
     return numbers | reconstruction(answer, truth.image, truth.mask, trained.values)
 
 
-def on_photographs(trained: Trained, photographs: PhotoSet) -> Numbers:
+def on_photographs(trained: LoadedModel, photographs: PhotoSet) -> Numbers:
     """``recon.mae`` and ``recon.rmse`` of each photograph, 8-bit sRGB units on its mask."""
     image = as_network_input(photographs.images, trained.values)
-    answer = predict_both_ways(trained.model, image)
+    answer = predict_with_flip_tta(trained.model, image)
     return reconstruction(answer, image, photographs.masks.float() / 255, trained.values)
 
 
-def reconstruction(answer: Decomposition, image: Tensor, mask: Tensor, values: Values) -> Numbers:
+def reconstruction(answer: NetworkOutput, image: Tensor, mask: Tensor, values: Values) -> Numbers:
     """Mean absolute and root-mean-square difference of reconstructions and images, one number an image.
 
     Both are clipped to [0, 1] and encoded, or left as they are where values are display-referred; they are
@@ -110,7 +110,7 @@ def records_of(numbers: Numbers, of: str, network: str, command: str) -> list[Re
     ]
 
 
-def _truth_errors(answer: Decomposition, truth: FaceBatch, index: int) -> dict[str, float]:
+def _truth_errors(answer: NetworkOutput, truth: FaceBatch, index: int) -> dict[str, float]:
     mask = truth.mask[index, 0]
     found, true = (part[index].permute(1, 2, 0).numpy() for part in (answer.normal, truth.normal))
     normals = angular_error_deg(found, true, mask.numpy())

@@ -30,7 +30,7 @@ from sfsnet_dr.experiments.pipeline.holdout_split import (
     on_rendered,
     records_of,
 )
-from sfsnet_dr.models.inference import Trained, load_trained
+from sfsnet_dr.models.inference import LoadedModel, load_model
 from sfsnet_dr.report.console import bar
 from sfsnet_dr.report.record import Record, measured
 from sfsnet_dr.train.logging import read_history
@@ -58,7 +58,7 @@ class Outcome:
 
     plan: Plan
     source: PhotoSource
-    trained: Mapping[str, Trained]
+    trained: Mapping[str, LoadedModel]
     histories: Mapping[str, list[dict[str, Any]]]
     truth: FaceBatch
     photographs: PhotoSet
@@ -69,7 +69,7 @@ class Outcome:
 
 def measure(plan: Plan, source: PhotoSource, command: str) -> Outcome:
     """Load and measure every network of a plan whose stages are done."""
-    trained = {name: load_trained(plan.folder / name / WEIGHTS) for name in NETWORKS}
+    trained = {name: load_model(plan.folder / name / WEIGHTS) for name in NETWORKS}
     histories = {name: read_history(plan.folder / name / HISTORY) for name in NETWORKS}
     data = plan.first.data
     held = load_faces(plan.faces, data.view, held_back=data.held_back, held=True)

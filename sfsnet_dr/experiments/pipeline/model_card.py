@@ -18,7 +18,7 @@ from sfsnet_dr.data.generate import synthesize
 from sfsnet_dr.data.photos import photo_folder
 from sfsnet_dr.data.transforms.background import Augmentation
 from sfsnet_dr.experiments.pipeline.holdout_split import held_batch, on_photographs, on_rendered, records_of
-from sfsnet_dr.models.inference import Trained, load_trained
+from sfsnet_dr.models.inference import LoadedModel, load_model
 from sfsnet_dr.models.shipped import FOLDER, weights_name
 from sfsnet_dr.report.record import Record, read_records
 from sfsnet_dr.scene.spec import SceneSpec
@@ -91,13 +91,13 @@ def measure_shipped(
     return records
 
 
-def _loaded(names: Sequence[Path | str]) -> Mapping[str, Trained]:
-    networks: dict[str, Trained] = {}
+def _loaded(names: Sequence[Path | str]) -> Mapping[str, LoadedModel]:
+    networks: dict[str, LoadedModel] = {}
     for given in names:
         name = weights_name(given)
         if name in networks:
             raise InputError(f"names: two networks would be called {name!r}; rename {given}")
-        networks[name] = load_trained(given)
+        networks[name] = load_model(given)
     return networks
 
 

@@ -24,7 +24,7 @@ from sfsnet_dr.core.provenance import versions
 from sfsnet_dr.experiments.regression.config import RegressSpec
 from sfsnet_dr.experiments.regression.models import Model, trace
 from sfsnet_dr.metrics.equivalence import Estimate
-from sfsnet_dr.render.aovs import CaptureOptions, capture
+from sfsnet_dr.render.aovs import TransportOptions, render_aovs
 from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
 from sfsnet_dr.scene.subject import Subject
@@ -209,7 +209,7 @@ def _write(
 def _map_planes(subject: Subject, rays: int) -> dict[str, Array]:
     scene = SurfaceScene(subject.mesh, subject.camera)
     each = max(rays // _CAPTURES, 1)
-    found = [capture(scene, each, FIRST_SEED + k, CaptureOptions(order=0)) for k in range(_CAPTURES)]
+    found = [render_aovs(scene, each, FIRST_SEED + k, TransportOptions(order=0)) for k in range(_CAPTURES)]
     normals = np.stack([maps.normal for maps in found]).astype(np.float64)
     albedo = np.stack([maps.albedo * maps.coverage[..., None] for maps in found]).astype(np.float64)
     mean = normals.mean(axis=0)

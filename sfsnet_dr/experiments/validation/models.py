@@ -14,7 +14,7 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from sfsnet_dr.render.aovs import Capture, CaptureOptions, capture
+from sfsnet_dr.render.aovs import TransportMaps, TransportOptions, render_aovs
 from sfsnet_dr.render.shading_drjit_reference import render_planes
 from sfsnet_dr.scene.jit import dr, mi, upload
 from sfsnet_dr.scene.lights.light import Light
@@ -84,9 +84,9 @@ class Known:
         seconds: time of the captures by kind, compiled and warm, once a subject.
     """
 
-    maps: Capture
+    maps: TransportMaps
     mask: Image
-    transport: dict[Kind, tuple[Capture, Capture]]
+    transport: dict[Kind, tuple[TransportMaps, TransportMaps]]
     seconds: dict[Kind, float]
     _planes: dict[str, Any] = field(default_factory=dict)
 
@@ -122,12 +122,12 @@ def know(subject: Subject, seed: int, rungs: tuple[Rung, ...]) -> Known:
     """Capture all that rungs need; compiles with few rays first, so that the times are warm ones."""
     sampling = subject.spec.sampling
     plain = SurfaceScene(subject.mesh, subject.camera)
-    maps, took = _timed(plain, MAP_RAYS, seed, CaptureOptions(order=0))
-    transport: dict[Kind, tuple[Capture, Capture]] = {}
+    maps, took = _timed(plain, MAP_RAYS, seed, TransportOptions(order=0))
+    transport: dict[Kind, tuple[TransportMaps, TransportMaps]] = {}
     seconds: dict[Kind, float] = {"analytic": took}
     for kind in dict.fromkeys(rung.kind for rung in rungs if rung.kind != "analytic"):
         scene = SurfaceScene(subject.mesh, subject.camera, gloss=True) if kind == "gloss" else plain
-        options = CaptureOptions(order=_ORDER, bounces=int(kind != "visibility"), paths=sampling.paths)
+        options = TransportOptions(order=_ORDER, bounces=int(kind != "visibility"), paths=sampling.paths)
         half = max(1, sampling.transport // 2)
         (first, one), (second, two) = (_timed(scene, half, 2 * seed + k, options) for k in (1, 2))
         transport[kind], seconds[kind] = (first, second), one + two
@@ -160,11 +160,11 @@ def _weigh(answers: list[mi.Color3f], gloss: list[mi.Float], light: list[mi.Colo
     return total
 
 
-def _surface_planes(maps: Capture) -> tuple[Any, ...]:
+def _surface_planes(maps: TransportMaps) -> tuple[Any, ...]:
     return mi.Vector3f(*_planes(maps.normal)), mi.Color3f(*_planes(maps.albedo * maps.coverage[..., None]))
 
 
-def _answers(captures: tuple[Capture, Capture]) -> tuple[Any, ...]:
+def _answers(captures: tuple[TransportMaps, TransportMaps]) -> tuple[Any, ...]:
     transport, gloss = (
         (getattr(captures[0], k) + getattr(captures[1], k)) / 2 for k in ("transport", "gloss")
     )
@@ -177,12 +177,14 @@ def _planes(image: npt.NDArray[np.float32]) -> list[mi.Float]:
     return [upload(mi.Float, image[..., c]) for c in range(image.shape[-1])]
 
 
-def _weighed(seen: Capture, light: Image) -> Image:
+def _weighed(seen: TransportMaps, light: Image) -> Image:
     image = np.einsum("khwc,kc->hwc", seen.transport[: len(light)], light)
     return np.asarray(image + np.einsum("khw,kc->hwc", seen.gloss, light[: len(seen.gloss)]))
 
 
-def _timed(scene: SurfaceScene, samples: int, seed: int, options: CaptureOptions) -> tuple[Capture, float]:
-    capture(scene, 1, seed, options)
+def _timed(
+    scene: SurfaceScene, samples: int, seed: int, options: TransportOptions
+) -> tuple[TransportMaps, float]:
+    render_aovs(scene, 1, seed, options)
     begin = time.perf_counter()
-    return capture(scene, samples, seed, options), time.perf_counter() - begin
+    return render_aovs(scene, samples, seed, options), time.perf_counter() - begin

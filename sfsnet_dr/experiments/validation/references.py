@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sfsnet_dr.render.aovs import CaptureOptions, capture
+from sfsnet_dr.render.aovs import TransportOptions, render_aovs
 from sfsnet_dr.render.path_tracer import Reference, path_trace
 from sfsnet_dr.scene.lights.equirect import MAP_SIZE, lookup
 from sfsnet_dr.scene.lights.light import Light
@@ -125,7 +125,7 @@ class FineMaps:
         """Capture the pixels with a positive mask (H, W)."""
         size = subject.camera.size
         camera = replace(subject.camera, size=EDGE * size)
-        seen = capture(SurfaceScene(subject.mesh, camera), _RAYS, seed, CaptureOptions(order=0))
+        seen = render_aovs(SurfaceScene(subject.mesh, camera), _RAYS, seed, TransportOptions(order=0))
         chosen = mask > 0
         normal, albedo = (
             _by_pixel(values, size)[chosen]

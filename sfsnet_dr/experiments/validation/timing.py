@@ -185,7 +185,7 @@ def cold_times(size: int, gloss: bool) -> dict[str, KernelTime]:
 
 def _main(size: int, gloss: bool) -> dict[str, KernelTime]:
     from sfsnet_dr.experiments.validation.models import kernel_of, know, ladder_rungs, weights
-    from sfsnet_dr.render.aovs import CaptureOptions, capture
+    from sfsnet_dr.render.aovs import TransportOptions, render_aovs
     from sfsnet_dr.render.path_tracer import path_trace
     from sfsnet_dr.scene.jit import dr, mi
     from sfsnet_dr.scene.lights.presets import natural
@@ -201,11 +201,11 @@ def _main(size: int, gloss: bool) -> dict[str, KernelTime]:
     plain = SurfaceScene(subject.mesh, subject.camera)
     plain.set_environment(light.environment if light.environment is not None else 0.0)
     found["path"] = _first(partial(path_trace, plain, 4, 0))
-    found["capture_analytic"] = _first(partial(capture, plain, 2, 0, CaptureOptions(order=0)))
+    found["capture_analytic"] = _first(partial(render_aovs, plain, 2, 0, TransportOptions(order=0)))
     for kind in dict.fromkeys(rung.kind for rung in rungs if rung.kind != "analytic"):
         scene = SurfaceScene(subject.mesh, subject.camera, gloss=True) if kind == "gloss" else plain
-        options = CaptureOptions(order=4, bounces=int(kind != "visibility"))
-        found[f"capture_{kind}"] = _first(partial(capture, scene, 2, 0, options))
+        options = TransportOptions(order=4, bounces=int(kind != "visibility"))
+        found[f"capture_{kind}"] = _first(partial(render_aovs, scene, 2, 0, options))
     known = know(subject, 0, rungs)
     for rung in rungs:
         inputs, values = known.inputs(rung), weights(rung, light.coefficients(rung.order))

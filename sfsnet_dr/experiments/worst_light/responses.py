@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.render.aovs import Capture, CaptureOptions, capture
+from sfsnet_dr.render.aovs import TransportMaps, TransportOptions, render_aovs
 from sfsnet_dr.scene.lights.equirect import MAP_SIZE
 from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.lights.sampling import LARGEST_ANGLE, sample_scene_light
@@ -160,8 +160,8 @@ def target(subject: Subject, effort: Effort) -> Target:
 
 def basis_answers(of: Target, seed: int) -> Answers:
     """Answers to the 25 basis lights of order 4, everything the surface does with them included."""
-    options = CaptureOptions(ORDER, of.effort.bounces, of.effort.paths, gloss_order=ORDER)
-    runs = [capture(of.scene, of.effort.samples, 2 * seed + k, options) for k in range(2)]
+    options = TransportOptions(ORDER, of.effort.bounces, of.effort.paths, gloss_order=ORDER)
+    runs = [render_aovs(of.scene, of.effort.samples, 2 * seed + k, options) for k in range(2)]
     mask = counted(of.subject, runs[0])
     first, second = (_pixels(run.transport, mask) for run in runs)
     if of.scene.gloss:
@@ -186,13 +186,13 @@ def directional_answers(
         seed: of the random numbers.
         on_batch: called ``batches(N)`` times while it goes on.
     """
-    options = CaptureOptions(0, of.effort.bounces, 1, gloss_order=0)
+    options = TransportOptions(0, of.effort.bounces, 1, gloss_order=0)
     runs, mask, model = [], None, None
     padded = np.concatenate([directions, np.repeat(directions[-1:], -len(directions) % _LAMPS, axis=0)])
     for k in range(2):
         found = []
         for start in range(0, len(padded), _LAMPS):
-            run = capture(
+            run = render_aovs(
                 of.scene, of.effort.lamp_samples, 2 * seed + k, options, padded[start : start + _LAMPS]
             )
             if mask is None:
@@ -211,7 +211,7 @@ def batches(directions: int) -> int:
     return 2 * -(-directions // _LAMPS)
 
 
-def counted(subject: Subject, maps: Capture) -> npt.NDArray[np.bool_]:
+def counted(subject: Subject, maps: TransportMaps) -> npt.NDArray[np.bool_]:
     """(H, W) pixels that errors are measured on: face skin of a head, what else fills its pixel.
 
     Raises:
@@ -224,7 +224,7 @@ def counted(subject: Subject, maps: Capture) -> npt.NDArray[np.bool_]:
     return mask
 
 
-def analytic(maps: Capture, mask: npt.NDArray[np.bool_]) -> Array:
+def analytic(maps: TransportMaps, mask: npt.NDArray[np.bool_]) -> Array:
     """(3, 25, P) image of the SH renderer under each basis light: albedo A_l / pi Y_k(normal)."""
     normals = maps.normal[mask].astype(np.float64)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)

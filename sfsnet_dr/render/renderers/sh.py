@@ -21,7 +21,7 @@ import numpy.typing as npt
 import torch
 
 from sfsnet_dr.render import shading_drjit, shading_numpy, shading_torch
-from sfsnet_dr.render.aovs import CaptureOptions, capture
+from sfsnet_dr.render.aovs import TransportOptions, render_aovs
 from sfsnet_dr.render.renderers.base import Budget, Capabilities, Image
 from sfsnet_dr.scene.jit import dr, mi, upload
 from sfsnet_dr.scene.lights.light import MAP_ORDER, Light
@@ -72,7 +72,7 @@ def once(make: Callable[Concatenate[K, P], V]) -> Callable[Concatenate[K, P], V]
 def surface_maps(subject: Subject, seed: int = 0) -> SurfaceMaps:
     """Normals and covered albedo; ``sampling.transport`` of the subject's scene says with how many rays."""
     rays = max(MAP_RAYS, subject.spec.sampling.transport)
-    seen = capture(SurfaceScene(subject.mesh, subject.camera), rays, seed, CaptureOptions(order=0))
+    seen = render_aovs(SurfaceScene(subject.mesh, subject.camera), rays, seed, TransportOptions(order=0))
     return SurfaceMaps(_planes(seen.normal), _planes(seen.albedo * seen.coverage[..., None]))
 
 
@@ -96,9 +96,9 @@ def radiance(light: Light) -> Radiance:
 
 def _transport(subject: Subject, seed: int, bounces: int) -> Planes:
     sampling = subject.spec.sampling
-    options = CaptureOptions(order=TRANSPORT_ORDER, bounces=bounces, paths=sampling.paths)
+    options = TransportOptions(order=TRANSPORT_ORDER, bounces=bounces, paths=sampling.paths)
     scene = SurfaceScene(subject.mesh, subject.camera)
-    return capture(scene, sampling.transport, seed, options).transport
+    return render_aovs(scene, sampling.transport, seed, options).transport
 
 
 def _planes(image: Planes) -> Planes:

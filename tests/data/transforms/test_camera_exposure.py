@@ -7,7 +7,7 @@ from torch import Tensor
 
 from sfsnet_dr.data.transforms.camera import USUAL, metering_gain
 from sfsnet_dr.inference.decompose import Picture, take_apart
-from sfsnet_dr.models.base import Decomposition, Network
+from sfsnet_dr.models.base import Network, NetworkOutput
 
 
 def test_what_is_usual_stays_and_the_rest_is_brought_there() -> None:
@@ -29,14 +29,14 @@ class Grey(Network):
     def __init__(self) -> None:
         super().__init__({})
 
-    def forward(self, image: Tensor) -> Decomposition:
+    def forward(self, image: Tensor) -> NetworkOutput:
         """See ``Network``."""
         self.seen = image
         normal = torch.zeros_like(image)
         normal[:, 2] = 1
         light = torch.zeros(len(image), 27)
         light[:, ::9] = image.mean((2, 3)) / 0.282095  # Y00
-        return Decomposition(normal, torch.ones_like(image), light)
+        return NetworkOutput(normal, torch.ones_like(image), light)
 
 
 @pytest.mark.parametrize("level", [0.01, 0.3, 0.9])

@@ -17,8 +17,8 @@ from sfsnet_dr.data.dataset import load_faces
 from sfsnet_dr.data.transforms.background import Augmentation
 from sfsnet_dr.data.transforms.crop import View
 from sfsnet_dr.inference.methods import ask
-from sfsnet_dr.models.base import Decomposition
-from sfsnet_dr.models.inference import load_trained
+from sfsnet_dr.models.base import NetworkOutput
+from sfsnet_dr.models.inference import load_model
 from sfsnet_dr.models.sfsnet import SfSNet
 from sfsnet_dr.models.weights import save_weights
 
@@ -79,10 +79,10 @@ def test_bundles_are_cropped_alike(tmp_path: Path) -> None:
 class Places(nn.Module):
     """Answers with what it sees."""
 
-    def forward(self, image: Tensor) -> Decomposition:
+    def forward(self, image: Tensor) -> NetworkOutput:
         normal = torch.zeros_like(image)
         normal[:, 2] = 1
-        return Decomposition(normal, image, torch.zeros(len(image), 27))
+        return NetworkOutput(normal, image, torch.zeros(len(image), 27))
 
 
 def test_a_network_answers_for_what_it_was_shown() -> None:
@@ -104,10 +104,10 @@ def test_weights_tell_what_they_were_shown(tmp_path: Path) -> None:
         save_weights(path, SfSNet(4), {"recipe": {"data": data}})
         return path
 
-    assert load_trained(weights("a", {"size": 64, "crop": 96})).view == View(64, 96)
-    assert load_trained(weights("b", {"size": 64})).view == View(64, 128)
+    assert load_model(weights("a", {"size": 64, "crop": 96})).view == View(64, 96)
+    assert load_model(weights("b", {"size": 64})).view == View(64, 128)
     with pytest.raises(InputError, match=r"trained on 48 of the frame's 128 pixels shown with 64"):
-        load_trained(weights("c", {"size": 64, "crop": 48}))
+        load_model(weights("c", {"size": 64, "crop": 48}))
 
 
 def test_what_does_not_fit_is_told() -> None:

@@ -15,7 +15,7 @@ from sfsnet_dr.experiments.benchmarks import relight
 from sfsnet_dr.experiments.benchmarks.generate import write_bench
 from sfsnet_dr.experiments.benchmarks.naive_rendering import noise_of
 from sfsnet_dr.experiments.benchmarks.relight import PARTS, FaceErrors, bench_relight, to_records
-from sfsnet_dr.render.aovs import Capture
+from sfsnet_dr.render.aovs import TransportMaps
 from sfsnet_dr.report.record import Record
 from sfsnet_dr.scene.spec import CameraSpec, HeadSpec, SamplingSpec, SceneSpec
 
@@ -28,7 +28,7 @@ TINY = SceneSpec(
 )
 
 
-def noisy_capture(seed: int, noise: float) -> Capture:
+def noisy_capture(seed: int, noise: float) -> TransportMaps:
     """White transport of .5 with noise, under a mask that leaves out what is wrong."""
     rng = np.random.default_rng(seed)
     mask = np.ones((32, 32), np.float32)
@@ -41,7 +41,7 @@ def noisy_capture(seed: int, noise: float) -> Capture:
 
     zeros = np.zeros((32, 32, 3), np.float32)
     labels = np.zeros((32, 32), np.uint8)
-    return Capture(zeros, zeros, mask, mask, labels, images(25, 3), images(9), images(8, 3), 1)
+    return TransportMaps(zeros, zeros, mask, mask, labels, images(25, 3), images(9), images(8, 3), 1)
 
 
 def test_noise_is_found_again() -> None:

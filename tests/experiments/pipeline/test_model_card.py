@@ -11,7 +11,7 @@ import torch
 
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.experiments.pipeline.model_card import card_records, compare, measure_shipped
-from sfsnet_dr.models.inference import load_trained
+from sfsnet_dr.models.inference import load_model
 from sfsnet_dr.models.sfsnet import SfSNet
 from sfsnet_dr.models.shipped import BEST, SHIPPED, weights_name, weights_path
 from sfsnet_dr.models.weights import STEP, from_eight_bit, load_weights, save_weights, to_eight_bit
@@ -71,7 +71,7 @@ def test_names_are_files_and_other_words_are_not(tmp_path: Path) -> None:
 def test_all_shipped_networks_together_are_small_and_load_by_name() -> None:
     assert sum(weights_path(name).stat().st_size for name in SHIPPED) < 40e6
     for name in SHIPPED:
-        trained = load_trained(name)
+        trained = load_model(name)
         assert trained.model.architecture == name
         assert trained.view.size == 64
         assert "/" not in json.dumps(trained.metadata)  # no path of the machine that trained it

@@ -30,8 +30,8 @@ from sfsnet_dr.experiments.pipeline.holdout_split import (
 from sfsnet_dr.experiments.pipeline.run import run_stages
 from sfsnet_dr.inference.visualize import png_bytes
 from sfsnet_dr.metrics.image import mae_8bit, rmse_8bit
-from sfsnet_dr.models.base import Decomposition, Network
-from sfsnet_dr.models.inference import Trained, mirrored
+from sfsnet_dr.models.base import Network, NetworkOutput
+from sfsnet_dr.models.inference import LoadedModel, mirror_output
 from sfsnet_dr.render.shading_torch import f_render
 from sfsnet_dr.report.record import read_records
 from sfsnet_dr.train.trainer import train
@@ -196,21 +196,21 @@ class Oracle(Network):
     architecture = "oracle"
     multiple = 1
 
-    def __init__(self, answer: Decomposition) -> None:
+    def __init__(self, answer: NetworkOutput) -> None:
         super().__init__({})
-        self.answers = itertools.cycle([answer, mirrored(answer)])
+        self.answers = itertools.cycle([answer, mirror_output(answer)])
 
-    def forward(self, image: Tensor) -> Decomposition:
+    def forward(self, image: Tensor) -> NetworkOutput:
         return next(self.answers)  # it is asked for images and then for their mirror images
 
 
-def trained(answer: Decomposition) -> Trained:
-    return Trained(Oracle(answer), View(32), "linear", {})
+def trained(answer: NetworkOutput) -> LoadedModel:
+    return LoadedModel(Oracle(answer), View(32), "linear", {})
 
 
 def test_errors_are_those_of_the_answer(data: Path) -> None:
     truth = held_batch(load_faces(data), Augmentation(lights=4), 4)
-    right = Decomposition(truth.normal, truth.albedo, truth.light)
+    right = NetworkOutput(truth.normal, truth.albedo, truth.light)
     numbers = on_rendered(trained(right), truth)
     for name in ("normals.mean_deg", "albedo.mae", "light.relative"):
         np.testing.assert_allclose(numbers[name], 0, atol=1e-4)
@@ -218,7 +218,7 @@ def test_errors_are_those_of_the_answer(data: Path) -> None:
     x, y, z = truth.normal.unbind(1)
     turned = torch.stack([x * angle.cos() + z * angle.sin(), y, z * angle.cos() - x * angle.sin()], 1)
     # Turned about y, a normal moves by 25 degrees times its distance from that axis, at most.
-    wrong = Decomposition(turned, 0.8 * truth.albedo, 1.5 * truth.light)
+    wrong = NetworkOutput(turned, 0.8 * truth.albedo, 1.5 * truth.light)
     numbers = on_rendered(trained(wrong), truth)
     assert np.all((numbers["normals.mean_deg"] > 15) & (numbers["normals.mean_deg"] < 25))
     assert np.all(numbers["normals.below30"] == 100)
@@ -232,7 +232,7 @@ def test_errors_are_those_of_the_answer(data: Path) -> None:
 @pytest.mark.parametrize("values", ["linear", "display"])
 def test_reconstruction_is_the_metric_of_one_image(values: Any) -> None:
     generator = torch.Generator().manual_seed(0)
-    answer = Decomposition(
+    answer = NetworkOutput(
         torch.nn.functional.normalize(torch.randn(2, 3, 8, 8, generator=generator), dim=1),
         torch.rand(2, 3, 8, 8, generator=generator),
         torch.randn(2, 27, generator=generator),
@@ -259,14 +259,14 @@ def test_display_referred_networks_see_photographs_as_their_files_have_them() ->
     seen: list[Tensor] = []
     images = torch.randint(0, 256, (2, 3, 32, 32), dtype=torch.uint8)
     photographs = PhotoSet(images, torch.full((2, 1, 32, 32), 255, dtype=torch.uint8), ("a", "b"), (), ())
-    answer = Decomposition(torch.ones(2, 3, 32, 32), images.float() / 255, torch.zeros(2, 27))
+    answer = NetworkOutput(torch.ones(2, 3, 32, 32), images.float() / 255, torch.zeros(2, 27))
     answer.light[:, ::9] = (4 * torch.pi) ** 0.5  # shading 1
     model = Oracle(answer)
     model.register_forward_pre_hook(lambda _m, given: seen.append(given[0]))
-    numbers = on_photographs(Trained(model, View(32), "display", {}), photographs)
+    numbers = on_photographs(LoadedModel(model, View(32), "display", {}), photographs)
     torch.testing.assert_close(seen[0], images.float() / 255)
     np.testing.assert_allclose(numbers["recon.mae"], 0, atol=1e-3)
-    assert (on_photographs(Trained(model, View(32), "linear", {}), photographs)["recon.mae"] > 10).all()
+    assert (on_photographs(LoadedModel(model, View(32), "linear", {}), photographs)["recon.mae"] > 10).all()
 
 
 @pytest.mark.slow
