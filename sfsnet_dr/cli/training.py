@@ -129,11 +129,12 @@ class Decompose:
     as_json: Json = False
 
     def run(self) -> Result:
-        from sfsnet_dr.inference.decompose import decompose, eyes_from_text, reconstruction_error
+        from sfsnet_dr.inference.decompose import decompose_files, reconstruction_error
+        from sfsnet_dr.inference.photograph import parse_eyes
         from sfsnet_dr.report.record import dotted, measured
 
-        eyes = None if self.eyes is None else eyes_from_text("--eyes", self.eyes)
-        faces = decompose(self.images, self.out, self.weights, eyes=eyes, mask=self.mask)
+        eyes = None if self.eyes is None else parse_eyes("--eyes", self.eyes)
+        faces = decompose_files(self.images, self.out, self.weights, eyes=eyes, mask=self.mask)
         records = [
             measured(
                 f"decompose.{dotted(face.name)}.reconstruction.mae_8bit",

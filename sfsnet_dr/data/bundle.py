@@ -18,7 +18,10 @@ from sfsnet_dr.sh.kernel import order_of
 Array = NDArray[np.float32]
 
 #: Version of the layout below; a file of another version is refused.
-VERSION: Final = 2
+VERSION: Final = 3
+
+#: Name of the directional responses by version; files of both are read.
+_DIRECTIONAL: Final = {2: "lamps", 3: "directional"}
 
 #: Responses of the glossy part, of order 2.
 _GLOSS: Final = 9
@@ -28,7 +31,7 @@ PREFIX: Final = "sfsnet_dr:"
 
 _VECTORS: Final = {"normal": "XYZ", "albedo": "RGB", "reference": "RGB", "variance": "RGB"}
 _SCALARS: Final = ("mask", "coverage", "regions")
-_FLOATS: Final = (*_VECTORS, "mask", "coverage", "transport", "gloss", "lamps", "directions")
+_FLOATS: Final = (*_VECTORS, "mask", "coverage", "transport", "gloss", "directional", "directions")
 
 
 @dataclass(frozen=True)
@@ -85,7 +88,7 @@ class Bundle:
     variance: Array
     transport: Array
     gloss: Array
-    lamps: Array
+    directional: Array
     directions: NDArray[np.float64]
     meta: BundleMeta
 
@@ -98,7 +101,7 @@ class Bundle:
         order_of(check_shape("transport", self.transport, "K H W 3", **sizes)["K"])
         if check_shape("gloss", self.gloss, "G H W", **sizes)["G"] not in (0, _GLOSS):
             raise InputError(f"gloss: {len(self.gloss)} responses found, 0 or {_GLOSS} allowed")
-        count = check_shape("lamps", self.lamps, "D H W 3", **sizes)["D"]
+        count = check_shape("directional", self.directional, "D H W 3", **sizes)["D"]
         check_shape("directions", self.directions, "D 3", D=count)
         for name in _FLOATS:
             if not np.isfinite(getattr(self, name)).all():
@@ -122,8 +125,8 @@ def write_bundle(path: Path | str, bundle: Bundle) -> None:
         channels |= _planes(f"transport.{k:02d}", "RGB", image)
     for k, image in enumerate(bundle.gloss):
         channels[f"gloss.{k:02d}.Y"] = image
-    for k, image in enumerate(bundle.lamps):
-        channels |= _planes(f"lamps.{k:02d}", "RGB", image)
+    for k, image in enumerate(bundle.directional):
+        channels |= _planes(f"directional.{k:02d}", "RGB", image)
     float32 = {f"variance.{letter}" for letter in "RGB"}
     write_exr(path, channels, _to_strings(bundle), float32)
 
@@ -143,7 +146,9 @@ def read_bundle(path: Path | str) -> Bundle:
     except KeyError as error:
         raise InputError(f"{path}: metadata {PREFIX}{error.args[0]} is missing; render again") from error
     try:
-        arrays = _arrays(channels, counts["transport"], counts["gloss"], len(directions))
+        arrays = _arrays(
+            channels, counts["transport"], counts["gloss"], len(directions), _DIRECTIONAL[values["version"]]
+        )
     except KeyError as error:
         raise InputError(f"{path}: channel {error} is missing; render the bundle again") from error
     try:
@@ -152,14 +157,16 @@ def read_bundle(path: Path | str) -> Bundle:
         raise InputError(f"{path}: {error}") from error
 
 
-def _arrays(channels: dict[str, Array], transport: int, gloss: int, lamps: int) -> dict[str, Any]:
+def _arrays(
+    channels: dict[str, Array], transport: int, gloss: int, directional: int, channel: str
+) -> dict[str, Any]:
     arrays: dict[str, Any] = {name: _stack(channels, name, letters) for name, letters in _VECTORS.items()}
     arrays |= {name: channels[f"{name}.Y"] for name in _SCALARS}
     arrays["regions"] = arrays["regions"].astype(np.uint8)
     height, width = arrays["mask"].shape
-    colours = {"transport": transport, "lamps": lamps}
-    for name, count in colours.items():
-        images = [_stack(channels, f"{name}.{k:02d}", "RGB") for k in range(count)]
+    colours = {"transport": (transport, "transport"), "directional": (directional, channel)}
+    for name, (count, prefix) in colours.items():
+        images = [_stack(channels, f"{prefix}.{k:02d}", "RGB") for k in range(count)]
         arrays[name] = np.array(images, dtype=np.float32).reshape(count, height, width, 3)
     planes = [channels[f"gloss.{k:02d}.Y"] for k in range(gloss)]
     arrays["gloss"] = np.array(planes, dtype=np.float32).reshape(gloss, height, width)
@@ -198,7 +205,7 @@ def _from_strings(path: Path, strings: dict[str, str]) -> dict[str, Any]:
         raise InputError(
             f"{path}: an EXR without {PREFIX}version found, a bundle of `sfsnet-dr synth` expected"
         )
-    if values["version"] != VERSION:
+    if values["version"] not in _DIRECTIONAL:
         raise InputError(
             f"{path}: bundle of version {values['version']} found, {VERSION} expected; render again"
         )

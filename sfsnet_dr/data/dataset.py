@@ -19,11 +19,11 @@ from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.data.batch import FaceBatch, dealt, in_turn
 from sfsnet_dr.data.bundle import Bundle, read_bundle
 from sfsnet_dr.data.manifest import NAME, Entry, Manifest
-from sfsnet_dr.data.relight import relight_batch
 from sfsnet_dr.data.transforms.background import Augmentation, backgrounds
 from sfsnet_dr.data.transforms.camera import PhotoEffects, frames, photograph, sample_effects
 from sfsnet_dr.data.transforms.crop import View
 from sfsnet_dr.data.transforms.flip import flip_map, flip_normal, x_parity
+from sfsnet_dr.render.transport_shading import relight_batch
 from sfsnet_dr.scene.lights.batch import Lighting, light_faces
 from sfsnet_dr.scene.lights.cache import LightBank, draw_bank
 from sfsnet_dr.scene.lights.light import MAP_ORDER
@@ -57,7 +57,7 @@ class Faces:
     coverage: Tensor
     transport: Tensor
     gloss: Tensor
-    lamps: Tensor
+    directional: Tensor
     directions: Array
     names: tuple[str, ...]
     fingerprint: str
@@ -87,10 +87,20 @@ def load_faces(
             it hardly depends on the others whether one is.
         held: read these instead of the rest.
 
+    Returns:
+        All faces in memory, in half precision; ``RelitFaces`` makes training batches of them.
+
     Raises:
         InputError: if there is no manifest, it is empty, half or more would be held back, or a bundle is
             missing, damaged, of another size or other responses than the first, of too low an order, has an
             empty mask, or has fewer pixels than the view.
+
+    Example:
+        >>> import sfsnet_dr as sf
+        >>> sf.load_faces("no-such-folder")
+        Traceback (most recent call last):
+        ...
+        sfsnet_dr.core.errors.InputError: no-such-folder: ...
     """
     bundles = listed(folders)
     ranks = sorted(entry.sha256 for _, entry in bundles)
@@ -156,7 +166,7 @@ def _tensors(path: Path, bundle: Bundle, view: View | None) -> dict[str, Tensor]
         "coverage": bundle.coverage[None],
         "transport": np.moveaxis(bundle.transport[: (MAP_ORDER + 1) ** 2], -1, 1),
         "gloss": bundle.gloss,
-        "lamps": np.moveaxis(bundle.lamps, -1, 1),
+        "directional": np.moveaxis(bundle.directional, -1, 1),
     }
     tensors = {name: torch.from_numpy(np.ascontiguousarray(a)) for name, a in arrays.items()}
     if view is not None:
@@ -247,7 +257,7 @@ class RelitFaces:
             torch.from_numpy(part.astype(np.float32)).to(faces.transport.device)
             for part in ((lighting.radiance * parity)[:, :count], lighting.irradiance)
         )
-        responses = (faces.transport, faces.gloss, faces.lamps)
+        responses = (faces.transport, faces.gloss, faces.directional)
         transport, gloss, lamps = (part.index_select(0, rows) for part in responses)
         return relight_batch(transport, radiance, gloss, lamps, irradiance)
 

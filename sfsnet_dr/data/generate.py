@@ -71,10 +71,25 @@ def synthesize(
         ray: None, ``"local"`` or the address of a Ray cluster; see ``data.workers.choose``.
         on_face: called with a seed when its bundle is in place.
 
+    Returns:
+        The list of the folder's bundles.
+
     Raises:
         InputError: for a folder that holds another dataset, or this one without ``resume``, or that another
             run is writing; for a face model that cannot be read, or a full disk.
         RunError: if a worker dies.
+
+    Example:
+        >>> import tempfile
+        >>> import sfsnet_dr as sf
+        >>> from sfsnet_dr.scene.spec import CameraSpec, HeadSpec, SamplingSpec, SceneSpec
+        >>> head, sampling = HeadSpec(subdivision=0), SamplingSpec(4, 1, 0, 2, 4)
+        >>> scene = SceneSpec("tiny", "anny", camera=CameraSpec(size=16), head=head, sampling=sampling)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     manifest = sf.synthesize(folder, scene, 1)
+        ...     faces = sf.load_faces(folder)
+        >>> [entry.file for entry in manifest.entries], tuple(faces.normal.shape)
+        (['face-000000.exr'], (1, 3, 16, 16))
     """
     if count < 1 or seed < 0 or workers < 1:
         raise InputError(
@@ -182,7 +197,7 @@ def render_bundle(spec: SceneSpec, seed: int) -> Bundle:
         variance=reference.variance.astype(np.float32),
         transport=maps.transport,
         gloss=maps.gloss,
-        lamps=maps.lamps,
+        directional=maps.directional,
         directions=directions,
         meta=BundleMeta(seed, spec.shape, fingerprint(dataset), coefficients, extra),
     )

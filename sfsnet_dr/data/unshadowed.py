@@ -36,7 +36,7 @@ def without_visibility(bundle: Bundle) -> Bundle:
     return replace(
         bundle,
         transport=_responses(matt, np.moveaxis(shading, -1, 0)),
-        lamps=_responses(matt, cosines),
+        directional=_responses(matt, cosines),
         meta=replace(bundle.meta, spec_hash=bundle.meta.spec_hash + _MARK),
     )
 

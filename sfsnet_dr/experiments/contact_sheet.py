@@ -14,19 +14,13 @@ from sfsnet_dr.core import provenance
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.core.files import atomic_path, output_dir
 from sfsnet_dr.core.image_io import write_png
+from sfsnet_dr.core.visualize import Pixels, on_white, png_bytes, show_linear, show_normals
 from sfsnet_dr.data.bundle import Bundle, read_bundle
 from sfsnet_dr.data.manifest import NAME, Manifest
-from sfsnet_dr.data.relight import Mixture, relight, relight_scene
+from sfsnet_dr.data.relight import relight_bundle
 from sfsnet_dr.data.transforms.camera import PhotoOptions
-from sfsnet_dr.inference.visualize import (
-    Pixels,
-    SheetStyle,
-    on_white,
-    png_bytes,
-    sheet,
-    show_linear,
-    show_normals,
-)
+from sfsnet_dr.inference.sheet import SheetStyle, sheet
+from sfsnet_dr.render.transport_shading import ResponseWeights, relight_responses
 from sfsnet_dr.report.html import Block, Figure, Gallery, KeyNumbers, Section, write_page
 from sfsnet_dr.report.plots import histogram
 from sfsnet_dr.report.record import Record, measured
@@ -144,7 +138,7 @@ def relight_file(
     if photo_seed is not None and photo_seed < 0:
         raise InputError(f"--photo-seed: {photo_seed} found, a number from 0 on is needed")
     photo = None if photo_seed is None else PhotoOptions()
-    image = relight(read_bundle(bundle), light.exposed(exposure), photo, photo_seed or 0)
+    image = relight_bundle(read_bundle(bundle), light.exposed(exposure), photo, photo_seed or 0)
     write_png(out, np.clip(image, 0.0, None))
 
 
@@ -171,11 +165,11 @@ def tone_name(ita: float) -> str:
 
 def _shown(bundle: Bundle) -> _Shown:
     light = bundle.meta.light.values
-    same_light = relight_scene(
+    same_light = relight_responses(
         bundle.transport[: len(light)],
         bundle.gloss,
-        bundle.lamps,
-        Mixture(light, np.zeros((len(bundle.lamps), 3))),
+        bundle.directional,
+        ResponseWeights(light, np.zeros((len(bundle.directional), 3))),
     )
     pictures = (show_linear(bundle.reference), show_linear(same_light), show_normals(bundle.normal))
     faces = [on_white(picture, bundle.coverage) for picture in (*pictures, show_linear(bundle.albedo))]

@@ -1,118 +1,144 @@
-"""Photographs in, normals, albedo, light and relit views out.
-
-A photograph as the network wants it: in the canonical face frame, with a mask.
-"""
+"""Photographs in; normals, albedo, light and relit views out."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import nn
 
 from sfsnet_dr.core import provenance
 from sfsnet_dr.core.color import srgb_to_linear
-from sfsnet_dr.core.conventions import FACE_SIZE
-from sfsnet_dr.core.errors import InputError
+from sfsnet_dr.core.errors import InputError, check_shape
 from sfsnet_dr.core.files import output_dir
-from sfsnet_dr.core.image_io import read_image
-from sfsnet_dr.data.alignment import Eyes, face_ellipse_mask, inside, read_eyes, side_file, to_canonical
+from sfsnet_dr.data.alignment import Eyes
 from sfsnet_dr.data.pseudo_labels import Values
 from sfsnet_dr.data.transforms.crop import WHOLE, View
 from sfsnet_dr.inference.methods import ask
 from sfsnet_dr.inference.outputs import Decomposition, write_decomposition
+from sfsnet_dr.inference.photograph import Photograph, align_photograph, read_photograph
 from sfsnet_dr.metrics.image import mae_8bit
-from sfsnet_dr.models.inference import load_model
-from sfsnet_dr.models.shipped import weights_path
+from sfsnet_dr.models.inference import LoadedModel, load_model
+from sfsnet_dr.models.shipped import BEST, weights_path
 from sfsnet_dr.render.shading_numpy import shading
 from sfsnet_dr.sh.coefficients import Shading
 
+if TYPE_CHECKING:
+    from torch import Tensor, nn
 
-@dataclass(frozen=True, eq=False)
-class Picture:
-    """One photograph in the canonical frame.
-
-    Attributes:
-        name: the file's name without its ending.
-        image: linear (128, 128, 3) float32.
-        mask: (128, 128) in [0, 1], 1 on the face.
-    """
-
-    name: str
-    image: NDArray[np.float32]
-    mask: NDArray[np.float32]
+Encoding = Literal["linear", "srgb"]
 
 
-def read_picture(path: Path | str, eyes: Eyes | None = None, mask: Path | str | None = None) -> Picture:
-    """Read a photograph and bring it to the canonical frame.
-
-    Eye centres come from ``eyes``, else from the side file beside the picture (same name, ``.toml``). Without
-    either the picture must have the canonical size and counts as aligned.
-
-    Args:
-        path: the picture, any format of ``read_image``; grey becomes equal red, green and blue.
-        eyes: centres in pixels of the picture.
-        mask: a picture of the same size, light on the face and dark elsewhere; an ellipse if not given.
-
-    Raises:
-        InputError: naming the file, what was found and what is allowed.
-    """
-    path = Path(path)
-    image = read_image(path, channels=3).pixels
-    if eyes is None and side_file(path).is_file():
-        eyes = read_eyes(side_file(path))
-    height, width = image.shape[:2]
-    if eyes is None and (height, width) != (FACE_SIZE, FACE_SIZE):
-        raise InputError(
-            f"{path}: {width} x {height} pixels found without eye centres; {FACE_SIZE} x {FACE_SIZE} in the "
-            f"canonical frame is allowed, or any size with --eyes or {side_file(path).name} beside it"
-        )
-    face = face_ellipse_mask() if mask is None else _read_mask(Path(mask), path, (height, width), eyes)
-    if eyes is not None:
-        image, covered = _aligned(path, image, eyes)
-        face = face * covered
-    if not face.any():
-        raise InputError(
-            f"{mask or path}: the mask is empty in the face frame, one face pixel at least is needed"
-        )
-    return Picture(path.stem, image, face)
+@overload
+def decompose(
+    image: Path | str,
+    model: LoadedModel | Path | str = BEST,
+    *,
+    eyes: Eyes | None = None,
+    mask: NDArray[Any] | Path | str | None = None,
+    encoding: Encoding | None = None,
+) -> Decomposition: ...
 
 
-def eyes_from_text(name: str, text: str) -> Eyes:
-    """Eye centres from "xl,yl,xr,yr"; ``name`` is where the text was given, for the message."""
-    try:
-        xl, yl, xr, yr = (float(part) for part in text.split(","))
-    except ValueError as error:
-        raise InputError(f"{name}: {text!r} found, four numbers XL,YL,XR,YR in pixels are needed") from error
-    return (xl, yl), (xr, yr)
-
-
-def _aligned(
-    path: Path, image: NDArray[np.float32], eyes: Eyes
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """The picture in the canonical frame, and the share of each pixel that it covers."""
-    try:
-        return to_canonical(image, eyes), inside(image.shape[0], image.shape[1], eyes)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
-
-
-def _read_mask(path: Path, of: Path, size: tuple[int, int], eyes: Eyes | None) -> NDArray[np.float32]:
-    found = read_image(path, channels=3).pixels
-    if found.shape[:2] != size:
-        raise InputError(
-            f"{path}: mask of {found.shape[1]} x {found.shape[0]} pixels found, "
-            f"{size[1]} x {size[0]} as {of.name} has is needed"
-        )
-    light = (found > 0.5).astype(np.float32)
-    return (light if eyes is None else _aligned(of, light, eyes)[0])[..., 0]
+@overload
+def decompose(
+    image: NDArray[Any] | Tensor,
+    model: LoadedModel | Path | str = BEST,
+    *,
+    eyes: Eyes | None = None,
+    mask: NDArray[Any] | Path | str | None = None,
+    encoding: Encoding | None = None,
+) -> Decomposition | list[Decomposition]: ...
 
 
 def decompose(
+    image: NDArray[Any] | Tensor | Path | str,
+    model: LoadedModel | Path | str = BEST,
+    *,
+    eyes: Eyes | None = None,
+    mask: NDArray[Any] | Path | str | None = None,
+    encoding: Encoding | None = None,
+) -> Decomposition | list[Decomposition]:
+    """Split a photograph of a face into normals, albedo and light.
+
+    The network answers for the image and for its mirror image, and the mean is returned; the image is metered
+    first, so that dark and bright photographs of one face give the same normals.
+
+    Args:
+        image: a file; or an array (H, W, 3) or (B, H, W, 3); or a tensor (3, H, W) or (B, 3, H, W). Without
+            ``eyes`` it must be 128 x 128 pixels in the canonical face frame (eye centres at (45, 48) and
+            (83, 48), x right, y down).
+        model: of ``load_model``, or the name or file of weights.
+        eyes: eye centres ((xl, yl), (xr, yr)) in pixels, the one on the image's left first; they hold for the
+            whole batch. A file may have them beside it (NAME.toml).
+        mask: (H, W), more than 0.5 on the face, or a file; an ellipse if left out.
+        encoding: ``"srgb"`` or ``"linear"``; left out, unsigned integers are sRGB and floats linear light.
+            Files say it themselves.
+
+    Returns:
+        A ``Decomposition``; for a batch a list of them.
+
+    Raises:
+        InputError: naming what is wrong, what was found and what is allowed.
+
+    Source: Sengupta et al., SfSNet, CVPR 2018.
+
+    Example:
+        >>> import numpy as np
+        >>> import sfsnet_dr as sf
+        >>> grey = np.full((128, 128, 3), 0.3)
+        >>> face = sf.decompose(grey, sf.load_model("skipnet"))
+        >>> face.normal.shape, face.albedo.shape, face.light.flat().shape
+        ((128, 128, 3), (128, 128, 3), (27,))
+        >>> batch = sf.decompose(np.stack([grey, grey]), "skipnet")
+        >>> len(batch)
+        2
+    """
+    loaded = model if isinstance(model, LoadedModel) else load_model(model)
+    if isinstance(image, Path | str):
+        if encoding is not None:
+            raise InputError(f"encoding: {encoding!r} found, files say it themselves; leave it out")
+        if mask is not None and not isinstance(mask, Path | str):
+            raise InputError("mask: an array found, a file is needed beside a file")
+        return decompose_photographs(loaded, [read_photograph(image, eyes, mask)])[0]
+    if isinstance(mask, Path | str):
+        raise InputError("mask: a file found, an array (H, W) is needed beside an array")
+    images, single = _as_linear_batch(image, encoding)
+    weights = None if mask is None else np.asarray(mask, np.float32)
+    faces = decompose_photographs(
+        loaded, [align_photograph(f"image{k}", each, eyes, weights) for k, each in enumerate(images)]
+    )
+    return faces[0] if single else faces
+
+
+def _as_linear_batch(image: Any, encoding: Encoding | None) -> tuple[NDArray[np.float32], bool]:
+    """Return linear images (B, H, W, 3), and whether one image without a batch was given."""
+    if isinstance(image, torch.Tensor):
+        planes = image.detach().cpu().numpy()
+        single = planes.ndim == 3
+        check_shape("image", planes, "3 H W" if single else "B 3 H W")
+        array = np.moveaxis(planes, -3, -1)
+    else:
+        array = np.asarray(image)
+        single = array.ndim == 3
+        check_shape("image", array, "H W 3" if single else "B H W 3")
+    if array.dtype.kind == "u":
+        largest = np.iinfo(array.dtype).max
+        encoding, array = encoding or "srgb", array / largest
+    elif array.dtype.kind != "f":
+        raise InputError(f"image: {array.dtype} found, floats or unsigned integers are needed")
+    if encoding not in ("linear", "srgb", None):
+        raise InputError(f"encoding: {encoding!r} found; allowed: linear, srgb")
+    if not np.isfinite(array).all():
+        raise InputError("image: NaN or inf found, finite values are needed")
+    linear = srgb_to_linear(array) if encoding == "srgb" else array
+    return np.asarray(linear[None] if single else linear, np.float32), single
+
+
+def decompose_files(
     images: Sequence[Path],
     out: Path | str,
     weights: Path | str,
@@ -125,7 +151,7 @@ def decompose(
     Everything is read and checked before anything is written; a face's folder is written whole or not at all.
 
     Args:
-        images: at least one, with different names; see ``read_picture`` for what is allowed.
+        images: at least one, with different names; see ``read_photograph`` for what is allowed.
         out: folder that is made if it is missing; the files of NAME.png go to out/NAME.
         weights: file of ``save_weights``, or the name of a shipped network.
         eyes: eye centres in pixels that hold for every image; side files and canonical pictures if None.
@@ -140,30 +166,35 @@ def decompose(
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"images: {names.count(name)} are called {name!r}, and would share a folder")
-    trained = load_model(weights)
-    read = [read_picture(path, eyes, mask) for path in images]
+    loaded = load_model(weights)
+    read = [read_photograph(path, eyes, mask) for path in images]
     folder = output_dir(out)
-    faces = take_apart(trained.model, read, view=trained.view, values=trained.values)
+    faces = decompose_photographs(loaded, read)
     metadata = {"sfsnet_dr:weights_sha256": provenance.sha256(weights_path(weights))}
     for face in faces:
         write_decomposition(folder, face, metadata)
     return faces
 
 
-def take_apart(
-    model: nn.Module, read: Sequence[Picture], *, view: View = WHOLE, values: Values = "linear"
+def decompose_photographs(loaded: LoadedModel, photographs: Sequence[Photograph]) -> list[Decomposition]:
+    """Decompose photographs in the canonical frame; writes nothing."""
+    return run_network(loaded.model, photographs, view=loaded.view, values=loaded.values)
+
+
+def run_network(
+    model: nn.Module, photographs: Sequence[Photograph], *, view: View = WHOLE, values: Values = "linear"
 ) -> list[Decomposition]:
-    """Run the network on pictures of the canonical frame; writes nothing.
+    """Run any network on photographs in the canonical frame; writes nothing.
 
     Args:
         model: the network.
-        read: at least one picture, all of one size.
-        view: what it was shown of the frame in training; see ``methods.ask``.
-        values: what a photograph's numbers are to the network. Its albedo and shading explain those, and are
-            kept as they are.
+        photographs: at least one, all of one size.
+        view: the part of the frame that the network was trained on; see ``methods.ask``.
+        values: the encoding that the network was trained on. Its albedo and shading explain the image in this
+            encoding, and are kept as they are.
     """
-    images = torch.from_numpy(np.stack([np.moveaxis(picture.image, -1, 0) for picture in read])).float()
-    masks = torch.from_numpy(np.stack([picture.mask for picture in read])).float()[:, None]
+    images = torch.from_numpy(np.stack([np.moveaxis(each.image, -1, 0) for each in photographs])).float()
+    masks = torch.from_numpy(np.stack([each.mask for each in photographs])).float()[:, None]
     found, gain = ask(model, images, masks, view, values)
     normal, albedo, light = (part.double().numpy() for part in found)
     shade = shading(normal, light)
@@ -171,9 +202,9 @@ def take_apart(
     maps = [np.moveaxis(part, 1, -1) for part in (normal, albedo, shade, image)]
     return [
         Decomposition(
-            name=picture.name,
-            image=picture.image,
-            mask=np.asarray(picture.mask, np.float32),
+            name=each.name,
+            image=each.image,
+            mask=np.asarray(each.mask, np.float32),
             normal=maps[0][index],
             albedo=maps[1][index],
             light=Shading.from_flat(light[index]),
@@ -181,12 +212,12 @@ def take_apart(
             reconstruction=maps[3][index],
             values=values,
         )
-        for index, picture in enumerate(read)
+        for index, each in enumerate(photographs)
     ]
 
 
 def reconstruction_error(face: Decomposition) -> float:
-    """Mean absolute difference of reconstruction and input on the face, 8-bit sRGB units.
+    """Return the mean absolute difference of reconstruction and input on the face, 8-bit sRGB units.
 
     It says how well the three parts explain the picture, not whether they are right: a wrong albedo with the
     inverse wrong shading reconstructs perfectly.

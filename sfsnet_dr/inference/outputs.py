@@ -10,17 +10,24 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sfsnet_dr.core.color import srgb_to_linear
 from sfsnet_dr.core.errors import InputError
+from sfsnet_dr.core.files import output_dir
 from sfsnet_dr.core.image_io import write_exr, write_png
+from sfsnet_dr.core.visualize import Pixels, on_white, show_encoded, show_linear, show_normals
 from sfsnet_dr.data.pseudo_labels import Values
-from sfsnet_dr.inference.relight import VIEW_LIGHTS, relit_views
-from sfsnet_dr.inference.visualize import Pixels, on_white, sheet, show_encoded, show_linear, show_normals
+from sfsnet_dr.inference.relight import VIEW_LIGHTS, relight, relit_views
+from sfsnet_dr.inference.sheet import sheet
+from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.sh.coefficients import Shading
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 Array = NDArray[np.floating]
 
@@ -54,6 +61,48 @@ class Decomposition:
     shading: Array
     reconstruction: Array
     values: Values = "linear"
+
+    def relight(self, light: Light | Shading) -> NDArray[np.float64]:
+        """Return the face under another light, by order-2 shading: no shadows, no interreflection.
+
+        Args:
+            light: a light, or its shading coefficients of order 0 to 8.
+
+        Returns:
+            Linear image (H, W, 3), not negative where the albedo is not. Of a network that was trained on
+            encoded images the product is encoded, and is decoded here.
+
+        Example:
+            >>> import numpy as np
+            >>> import sfsnet_dr as sf
+            >>> face = sf.decompose(np.full((128, 128, 3), 0.3))
+            >>> face.relight(sf.Light.from_direction((-1, 0.2, 0.7))).shape
+            (128, 128, 3)
+        """
+        shading = light.shading_label() if isinstance(light, Light) else light
+        image = relight(self.normal, self.albedo, shading)
+        return image if self.values == "linear" else np.asarray(srgb_to_linear(image), np.float64)
+
+    def to_torch(self) -> dict[str, Tensor]:
+        """Return the maps as float32 tensors: images (1, 3, H, W), mask (1, 1, H, W), light (1, 27)."""
+        import torch
+
+        names = ("normal", "albedo", "shading", "reconstruction", "image")
+        planes = {name: np.moveaxis(getattr(self, name), -1, 0)[None] for name in names}
+        planes |= {"mask": self.mask[None, None], "light": self.light.flat()[None]}
+        return {name: torch.from_numpy(np.array(values, np.float32)) for name, values in planes.items()}
+
+    def save(self, folder: Path | str) -> Path:
+        """Write pictures, a sheet of them and ``decomposition.exr`` into ``folder / name``; see ``docs``.
+
+        Raises:
+            InputError: if that folder holds files that a decomposition does not write.
+        """
+        return write_decomposition(output_dir(folder), self, {})
+
+    def _repr_png_(self) -> bytes:
+        """Input, maps and relit views with labels, for notebooks."""
+        return sheet(list(pictures(self).values()), title=self.name)
 
 
 def pictures(face: Decomposition) -> dict[str, tuple[str, Pixels]]:

@@ -84,8 +84,26 @@ def sfsnet_loss(
         trust: in the labels; whole if not given. Reconstruction, which needs no label, is not weighted.
         share: what this is of a larger batch; the terms are then those parts that add up to the batch's.
 
+    Returns:
+        The weighted total and the four terms before weighting, scalar tensors.
+
     Raises:
         InputError: naming the field whose shape does not fit.
+
+    Source: Sengupta et al., SfSNet, CVPR 2018, section 3.2.
+
+    Example:
+        >>> import torch
+        >>> import sfsnet_dr as sf
+        >>> from sfsnet_dr.data.batch import FaceBatch
+        >>> image = torch.full((1, 3, 128, 128), 0.3)
+        >>> output = sf.SkipNet(8)(image)
+        >>> ones = torch.ones(1, 1, 128, 128)
+        >>> truth = FaceBatch(image, *(part.detach() for part in output), ones)
+        >>> terms = sf.sfsnet_loss(output, truth)
+        >>> terms.normal.item(), terms.light.item()
+        (0.0, 0.0)
+        >>> terms.total.backward()
     """
     weights = weights or LossWeights()
     target.check()

@@ -18,6 +18,7 @@ from sfsnet_dr.data.pseudo_labels import Values
 from sfsnet_dr.data.transforms.crop import View
 from sfsnet_dr.data.transforms.flip import flip_light, flip_map, flip_normal
 from sfsnet_dr.models.base import Network, NetworkOutput
+from sfsnet_dr.models.shipped import BEST
 from sfsnet_dr.models.weights import load_weights, read_metadata
 from sfsnet_dr.render.shading_torch import unit
 
@@ -67,7 +68,7 @@ class LoadedModel:
     """A network as ``sfsnet-dr train`` left it.
 
     Attributes:
-        model: in evaluation mode, on the CPU.
+        model: in evaluation mode.
         view: what it was shown of the frame, and with how many pixels; it answers best for that, and some
             networks at no other size.
         values: what a photograph's numbers are to it.
@@ -80,11 +81,24 @@ class LoadedModel:
     metadata: dict[str, Any]
 
 
-def load_model(weights: Path | str) -> LoadedModel:
-    """Read weights; a file without a recipe counts as trained on linear images of 128 x 128.
+def load_model(weights: Path | str = BEST, *, device: torch.device | str = "cpu") -> LoadedModel:
+    """Load a trained network, in evaluation mode.
+
+    Args:
+        weights: name of a network in the package (``sfsnet-dr weights list``), or a file that training wrote.
+            A file without a recipe counts as trained on linear images of 128 x 128.
+        device: where the network computes.
+
+    Returns:
+        The network (``.model``, a ``torch.nn.Module``) with the crop and the encoding it was trained on.
 
     Raises:
-        InputError: for unusable weights.
+        InputError: for an unknown name, or unusable weights.
+
+    Example:
+        >>> import sfsnet_dr as sf
+        >>> sf.load_model("skipnet").model.architecture
+        'skipnet'
     """
     metadata = read_metadata(weights)
     recipe = metadata.get("recipe", {})
@@ -95,4 +109,5 @@ def load_model(weights: Path | str) -> LoadedModel:
             f"{weights}: trained on {view.crop} of the frame's {FACE_SIZE} pixels shown with {view.size}, no "
             "more pixels than are shown are needed"
         )
-    return LoadedModel(load_weights(weights), view, recipe.get("real", {}).get("values", "linear"), metadata)
+    network = load_weights(weights).to(device)
+    return LoadedModel(network, view, recipe.get("real", {}).get("values", "linear"), metadata)

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from scipy.ndimage import binary_dilation
 
 from sfsnet_dr.core.errors import InputError, check_shape
+from sfsnet_dr.core.visualize import on_white, png_bytes, show_encoded, show_linear, show_normals
 from sfsnet_dr.render import transport
 from sfsnet_dr.render.sobol import Points, Sampler, check_samples
 from sfsnet_dr.scene.jit import dr, mi, upload
@@ -63,7 +64,7 @@ class TransportMaps:
         regions: (H, W) label of ``scene.mesh.Region`` that most of the pixel's samples hit, or ``NO_REGION``.
         transport: (K, H, W, 3) response to the radiance basis lights, without gloss seen directly.
         gloss: (G, H, W) their mirror images in the glossy lobes, 9 of order 2; (0, H, W) without lobes.
-        lamps: (D, H, W, 3) response to a light of irradiance 1 in each direction.
+        directional: (D, H, W, 3) response to a light of irradiance 1 in each direction.
         rays: number of rays that were traced.
     """
 
@@ -74,8 +75,18 @@ class TransportMaps:
     regions: npt.NDArray[np.uint8]
     transport: Image
     gloss: Image
-    lamps: Image
+    directional: Image
     rays: int
+
+    def _repr_png_(self) -> bytes:
+        """Normals, albedo and mask side by side, for notebooks."""
+        mask = np.repeat(self.mask[..., None], 3, axis=-1)
+        maps = (
+            on_white(show_normals(self.normal), self.coverage),
+            on_white(show_linear(self.albedo), self.coverage),
+            show_encoded(mask),
+        )
+        return png_bytes(np.concatenate(maps, axis=1))
 
 
 def render_aovs(
@@ -109,7 +120,7 @@ def render_aovs(
         **_maps(np.moveaxis(parts["maps"], 0, -1).astype(np.float64) / samples),
         transport=_by_colour(parts["transport"]),
         gloss=np.ascontiguousarray(parts["gloss"]),
-        lamps=_by_colour(parts["lamps"]),
+        directional=_by_colour(parts["directional"]),
         rays=int(parts["rays"].sum(dtype=np.float64)),
     )
 

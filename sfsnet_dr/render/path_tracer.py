@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sfsnet_dr.core.errors import InputError
+from sfsnet_dr.core.visualize import png_bytes, show_linear
 from sfsnet_dr.scene.jit import dr, mi
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene, camera_rays
 
@@ -30,6 +31,10 @@ class Reference:
     mean: Image
     variance: Image
     samples: int
+
+    def _repr_png_(self) -> bytes:
+        """The mean as sRGB, for notebooks."""
+        return png_bytes(show_linear(self.mean))
 
 
 def path_trace(scene: SurfaceScene, samples: int, seed: int, depth: int = -1) -> Reference:

@@ -78,7 +78,7 @@ class TransportKernel:
         return {
             "transport": 3 * (self.order + 1) ** 2,
             "gloss": (self.gloss_order + 1) ** 2 if self.scene.gloss else 0,
-            "lamps": 3 * self.lamp_count,
+            "directional": 3 * self.lamp_count,
             "maps": 6 + len(Region),
             "rays": 1,
         }

@@ -13,6 +13,8 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+from markupsafe import escape
+
 from sfsnet_dr.core import files
 from sfsnet_dr.core.errors import InputError, RunError, nearest
 from sfsnet_dr.report.html import Section, Table
@@ -52,6 +54,12 @@ class Record:
         problem = _problem(asdict(self))
         if problem:
             raise RunError(f"record {self.what!r}: {problem}")
+
+    def _repr_html_(self) -> str:
+        """One row of a table, for notebooks."""
+        ends = "" if self.interval is None else f"{self.interval[0]:.4g} to {self.interval[1]:.4g}"
+        cells = (self.what, f"{self.value:.4g}", ends, self.unit)
+        return "<table><tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr></table>"
 
 
 def measured(

@@ -22,8 +22,8 @@ from sfsnet_dr.core.conventions import (
     LIGHT_SIZE,
     NORMAL_EPSILON,
 )
+from sfsnet_dr.core.visualize import show_normals
 from sfsnet_dr.data.alignment import to_canonical
-from sfsnet_dr.inference.visualize import show_normals
 from sfsnet_dr.render.aovs import render_aovs
 from sfsnet_dr.render.path_tracer import path_trace
 from sfsnet_dr.render.shading_numpy import f_render, shading, unit

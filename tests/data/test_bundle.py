@@ -18,7 +18,7 @@ def test_a_bundle_comes_back_at_half_precision(tmp_path: Path) -> None:
     written = sphere_bundle(5)
     write_bundle(tmp_path / "b.exr", written)
     read = read_bundle(tmp_path / "b.exr")
-    for name in ("normal", "albedo", "mask", "coverage", "reference", "transport", "gloss", "lamps"):
+    for name in ("normal", "albedo", "mask", "coverage", "reference", "transport", "gloss", "directional"):
         a, b = getattr(written, name), getattr(read, name)
         # a half has 11 significant bits, and steps of 6e-8 near zero
         np.testing.assert_allclose(b, a, rtol=2**-11, atol=6e-8, err_msg=name)
@@ -38,7 +38,7 @@ def test_channels_have_the_documented_names(tmp_path: Path) -> None:
     expected = {f"normal.{c}" for c in "XYZ"} | {"mask.Y", "coverage.Y", "regions.Y"}
     expected |= {f"{name}.{c}" for name in ("albedo", "reference", "variance") for c in "RGB"}
     expected |= {f"transport.{k:02d}.{c}" for k in range(9) for c in "RGB"}
-    expected |= {f"lamps.{k:02d}.{c}" for k in range(2) for c in "RGB"}
+    expected |= {f"directional.{k:02d}.{c}" for k in range(2) for c in "RGB"}
     assert set(channels) == expected
     np.testing.assert_array_equal(
         channels["transport.04.G"], bundle.transport[4, ..., 1].astype(np.float16)
@@ -51,13 +51,13 @@ def test_a_glossy_bundle_of_order_4_comes_back(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     gloss = rng.normal(size=(9, *plain.mask.shape)).astype(np.float16).astype(np.float32)
     transport = rng.normal(size=(25, *plain.mask.shape, 3)).astype(np.float16).astype(np.float32)
-    no_lamps = replace(plain, lamps=plain.lamps[:0], directions=plain.directions[:0])
+    no_lamps = replace(plain, directional=plain.directional[:0], directions=plain.directions[:0])
     written = replace(no_lamps, gloss=gloss, transport=transport)
     write_bundle(tmp_path / "b.exr", written)
     read = read_bundle(tmp_path / "b.exr")
     np.testing.assert_array_equal(read.gloss, gloss)
     np.testing.assert_array_equal(read.transport, transport)
-    assert read.lamps.shape == (0, 16, 16, 3)
+    assert read.directional.shape == (0, 16, 16, 3)
     assert read.directions.shape == (0, 3)
 
 
@@ -75,8 +75,8 @@ def test_wrong_shapes_and_values_are_refused() -> None:
         replace(bundle, transport=bundle.transport[:8])
     with pytest.raises(InputError, match="gloss: 4 responses found, 0 or 9"):
         replace(bundle, gloss=np.zeros((4, *bundle.mask.shape), np.float32))
-    with pytest.raises(InputError, match="lamps: shape"):
-        replace(bundle, lamps=bundle.lamps[..., :2])
+    with pytest.raises(InputError, match="directional: shape"):
+        replace(bundle, directional=bundle.directional[..., :2])
     with pytest.raises(InputError, match="directions: shape"):
         replace(bundle, directions=bundle.directions[:1])
     with pytest.raises(InputError, match="directions: lengths 2 to 2 found"):

@@ -16,11 +16,11 @@ from sfsnet_dr.data.batch import FaceBatch
 from sfsnet_dr.data.bundle import write_bundle
 from sfsnet_dr.data.dataset import Faces, RelitFaces, load_faces
 from sfsnet_dr.data.manifest import Entry, Manifest
-from sfsnet_dr.data.relight import mixture, relight_scene
 from sfsnet_dr.data.transforms.background import Augmentation
 from sfsnet_dr.data.transforms.camera import PhotoOptions
 from sfsnet_dr.data.transforms.crop import View
 from sfsnet_dr.data.transforms.flip import flip_map, flip_normal, flip_transport
+from sfsnet_dr.render.transport_shading import relight_responses, response_weights
 from sfsnet_dr.scene.lights.cache import bank_of
 from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.lights.spec import LightSpec
@@ -58,7 +58,9 @@ def test_the_labels_explain_the_image(faces: Faces, flip: float) -> None:
 def test_hard_lamps_and_gloss_are_those_of_the_bundle(tmp_path: Path) -> None:
     bundle = sphere_bundle(0)
     gloss = np.random.default_rng(0).uniform(0, 0.1, (9, 16, 16)).astype(np.float32) * bundle.coverage
-    bundle = replace(bundle, gloss=gloss, lamps=bundle.lamps[:1], directions=bundle.directions[:1])
+    bundle = replace(
+        bundle, gloss=gloss, directional=bundle.directional[:1], directions=bundle.directions[:1]
+    )
     write_bundle(tmp_path / "a.exr", bundle)
     Manifest(tmp_path, SPEC).append(Entry("a.exr", 0, "sphere", SPEC, "0"))
     dome = np.full((64, 128, 3), 0.3)
@@ -67,8 +69,8 @@ def test_hard_lamps_and_gloss_are_those_of_the_bundle(tmp_path: Path) -> None:
     augmentation = replace(PLAIN, light=light)
     batch = RelitFaces(load_faces(tmp_path), 1, augmentation, 0, bank_of([(lamp, False)])).batch(0)
     taken = lamp.balanced(1.0).exposed(0.3)
-    mixed = mixture(taken, bundle.directions, 2)
-    expected = relight_scene(bundle.transport, bundle.gloss, bundle.lamps, mixed)
+    mixed = response_weights(taken, bundle.directions, 2)
+    expected = relight_responses(bundle.transport, bundle.gloss, bundle.directional, mixed)
     inside = bundle.coverage[..., None] > 0
     found = np.moveaxis(batch.image[0].numpy(), 0, -1)
     np.testing.assert_allclose(found * inside, expected * inside, atol=1e-3)  # halves
@@ -85,7 +87,7 @@ def mirrored(faces: Faces) -> Faces:
         mask=flip_map(faces.mask),
         coverage=flip_map(faces.coverage),
         transport=flip_transport(faces.transport),
-        lamps=flip_map(faces.lamps),
+        directional=flip_map(faces.directional),
         directions=faces.directions * [-1.0, 1.0, 1.0],
     )
 
@@ -113,8 +115,8 @@ def test_smaller_faces_are_means_of_larger_ones(tmp_path: Path) -> None:
     whole, half = load_faces(folder), load_faces(folder, View(8))
     assert half.transport.shape == (2, 9, 3, 8, 8)
     assert half.fingerprint != whole.fingerprint
-    expected = whole.lamps.float().reshape(2, 2, 3, 8, 2, 8, 2).mean((4, 6))
-    torch.testing.assert_close(half.lamps.float(), expected, atol=1e-3, rtol=0)
+    expected = whole.directional.float().reshape(2, 2, 3, 8, 2, 8, 2).mean((4, 6))
+    torch.testing.assert_close(half.directional.float(), expected, atol=1e-3, rtol=0)
     batch = RelitFaces(half, 2, PLAIN, seed=1).batch(0)
     length = batch.normal.norm(dim=1, keepdim=True)[batch.mask == 1]
     torch.testing.assert_close(length, torch.ones_like(length), atol=1e-6, rtol=0)

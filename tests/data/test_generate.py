@@ -25,7 +25,8 @@ from sfsnet_dr.data import generate
 from sfsnet_dr.data.bundle import Bundle, read_bundle
 from sfsnet_dr.data.generate import synthesize
 from sfsnet_dr.data.manifest import Manifest
-from sfsnet_dr.data.relight import relight, relight_transport
+from sfsnet_dr.data.relight import relight_bundle
+from sfsnet_dr.render.transport_shading import relight_transport
 from sfsnet_dr.scene.jit import dr
 from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.lights.sampling import sample_scene_light
@@ -121,7 +122,7 @@ def test_the_reference_is_lit_as_the_scene_says() -> None:
     # Relit by its transport and its responses to lamps, the face looks like the path-traced reference.
     errors = {
         name: float(
-            np.sqrt(np.mean((relight(bundle, by) - bundle.reference)[face] ** 2))
+            np.sqrt(np.mean((relight_bundle(bundle, by) - bundle.reference)[face] ** 2))
             / np.sqrt(np.mean(bundle.reference[face] ** 2))
         )
         for name, by in (("its light", light), ("another", Light("white", np.ones((64, 128, 3)))))

@@ -10,9 +10,15 @@ import torch
 from helpers.spheres import sphere_bundle
 
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.data.relight import mixture, relight, relight_batch, relight_scene, relight_transport
+from sfsnet_dr.data.relight import relight_bundle
 from sfsnet_dr.data.transforms.camera import PhotoOptions
 from sfsnet_dr.data.transforms.flip import flip_map, flip_normal, flip_transport, x_parity
+from sfsnet_dr.render.transport_shading import (
+    relight_batch,
+    relight_responses,
+    relight_transport,
+    response_weights,
+)
 from sfsnet_dr.scene.lights.light import Light, heading, rotation_about
 from sfsnet_dr.sh.basis import sh_basis
 from sfsnet_dr.sh.coefficients import Radiance
@@ -100,11 +106,11 @@ def lit() -> Light:
 def test_lamps_go_to_the_nearest_direction_or_into_the_coefficients() -> None:
     directions = np.stack([heading(35.0, 0.0), heading(30.0, 0.0), heading(-50.0, 10.0)])
     light = lit()
-    mixed = mixture(light, directions, 2)
+    mixed = response_weights(light, directions, 2)
     np.testing.assert_allclose(mixed.irradiance, [[0, 0, 0], [3, 2, 1], [0, 0, 0]])
     rest = Light("rest", light.environment, light.directional[1:])
     np.testing.assert_allclose(mixed.radiance, rest.coefficients(2).values, atol=1e-14)
-    none = mixture(light, np.zeros((0, 3)), 2)
+    none = response_weights(light, np.zeros((0, 3)), 2)
     np.testing.assert_allclose(none.radiance, light.coefficients(2).values, atol=1e-14)
     assert none.irradiance.shape == (0, 3)
 
@@ -114,15 +120,15 @@ def test_a_scene_is_the_sum_of_its_responses() -> None:
     directions = np.stack([heading(30.0, 0.0), heading(-50.0, 10.0)])
     lamps = bundle.albedo * np.maximum(bundle.normal @ directions.T, 0).transpose(2, 0, 1)[..., None] / np.pi
     gloss = rng.uniform(size=(9, *bundle.mask.shape))
-    mixed = mixture(lit(), directions, 2)
-    plain = relight_scene(bundle.transport, gloss[:0], lamps, mixed)
+    mixed = response_weights(lit(), directions, 2)
+    plain = relight_responses(bundle.transport, gloss[:0], lamps, mixed)
     # The lamp of the bundle is Lambert's law of the exact direction 1 degree away; the rest is order 2.
     toward, power = directions[0], np.array([3.0, 2, 1])
     hard = bundle.albedo * np.maximum(bundle.normal @ toward, 0)[..., None] * power / np.pi
     np.testing.assert_allclose(
         plain, hard + relight_transport(bundle.transport, Radiance(mixed.radiance)), atol=2e-6
     )
-    shiny = relight_scene(bundle.transport, gloss, lamps, mixed)
+    shiny = relight_responses(bundle.transport, gloss, lamps, mixed)
     np.testing.assert_allclose(shiny - plain, np.einsum("khw,kc->hwc", gloss, mixed.radiance), atol=1e-12)
 
     def batch(*arrays: np.ndarray) -> list[torch.Tensor]:
@@ -140,17 +146,18 @@ def test_one_call_relights_with_all_that_a_bundle_knows() -> None:
     bundle = replace(bundle, gloss=gloss * bundle.coverage)
     room, power = np.full((64, 128, 3), 0.2), np.array([3.0, 2, 1])
     hard = Light("hard", room, ((bundle.directions[1], power),))
-    image = relight(bundle, hard)
+    image = relight_bundle(bundle, hard)
     toward = np.maximum(bundle.normal @ bundle.directions[1], 0)[..., None] * power / np.pi
     # The room is a light of order 0: the ball shows its albedo, and the first gloss response.
     expected = bundle.albedo * (0.2 + toward) + 0.2 * np.sqrt(4 * np.pi) * bundle.gloss[0][..., None]
     np.testing.assert_allclose(image, expected, atol=1e-4)  # the room's projection from a map
     elsewhere = Light("elsewhere", room, ((-bundle.directions[1], power),))
     soft = elsewhere.softened(bundle.directions)
-    mixed = mixture(soft, bundle.directions, 2)
+    mixed = response_weights(soft, bundle.directions, 2)
     assert not mixed.irradiance.any()
     np.testing.assert_allclose(
-        relight(bundle, elsewhere), relight_scene(bundle.transport, bundle.gloss, bundle.lamps, mixed)
+        relight_bundle(bundle, elsewhere),
+        relight_responses(bundle.transport, bundle.gloss, bundle.directional, mixed),
     )
 
 
@@ -158,11 +165,11 @@ def test_one_call_takes_a_photograph() -> None:
     bundle = sphere_bundle(1)
     light = Light("room", np.full((64, 128, 3), 0.5))
     photo = PhotoOptions(exposure=0.0, white_balance=0.0, blur=0.0, noise=0.0, jpeg=0.0, grey=0.0)
-    plain, taken = relight(bundle, light), relight(bundle, light, photo)
+    plain, taken = relight_bundle(bundle, light), relight_bundle(bundle, light, photo)
     covered = bundle.coverage == 1
     np.testing.assert_allclose(taken[covered], plain[covered], atol=1e-6)  # float32
     assert (taken[bundle.coverage == 0] > 0).any()
-    first, again, other = (relight(bundle, light, PhotoOptions(), seed) for seed in (3, 3, 4))
+    first, again, other = (relight_bundle(bundle, light, PhotoOptions(), seed) for seed in (3, 3, 4))
     np.testing.assert_array_equal(first, again)
     assert not np.array_equal(first, other)
     assert first.shape == plain.shape
@@ -171,11 +178,13 @@ def test_one_call_takes_a_photograph() -> None:
 
 def test_responses_that_do_not_fit_are_refused() -> None:
     bundle = sphere_bundle(0)
-    mixed = mixture(lit(), np.zeros((0, 3)), 2)
+    mixed = response_weights(lit(), np.zeros((0, 3)), 2)
     size = bundle.mask.shape
     with pytest.raises(InputError, match="gloss"):
-        relight_scene(bundle.transport, np.zeros((4, *size)), np.zeros((0, *size, 3)), mixed)
-    with pytest.raises(InputError, match="lamps"):
-        relight_scene(bundle.transport, np.zeros((9, *size)), np.zeros((2, *size, 3)), mixed)
+        relight_responses(bundle.transport, np.zeros((4, *size)), np.zeros((0, *size, 3)), mixed)
+    with pytest.raises(InputError, match="directional"):
+        relight_responses(bundle.transport, np.zeros((9, *size)), np.zeros((2, *size, 3)), mixed)
     with pytest.raises(InputError, match="belong together"):
-        relight_batch(torch.zeros(1, 9, 3, 4, 4), torch.zeros(1, 9, 3), lamps=torch.zeros(1, 2, 3, 4, 4))
+        relight_batch(
+            torch.zeros(1, 9, 3, 4, 4), torch.zeros(1, 9, 3), directional=torch.zeros(1, 2, 3, 4, 4)
+        )

@@ -22,17 +22,19 @@ def test_a_convex_matt_body_stays_as_it_is() -> None:
     bundle = sphere_bundle(3)
     found = without_visibility(bundle)
     np.testing.assert_allclose(found.transport, bundle.transport, atol=1e-6)  # float32 of values up to 1
-    np.testing.assert_allclose(found.lamps, bundle.lamps, atol=1e-6)
+    np.testing.assert_allclose(found.directional, bundle.directional, atol=1e-6)
 
 
 def test_shadows_and_bounces_go_and_the_rest_stays() -> None:
     bundle = sphere_bundle(3)
     shadow = np.linspace(0.2, 1.5, bundle.mask.shape[1], dtype=np.float32)[:, None]
     gloss = np.random.default_rng(0).normal(size=(9, *bundle.mask.shape)).astype(np.float32)
-    spoilt = replace(bundle, transport=bundle.transport * shadow, lamps=bundle.lamps * shadow, gloss=gloss)
+    spoilt = replace(
+        bundle, transport=bundle.transport * shadow, directional=bundle.directional * shadow, gloss=gloss
+    )
     found = without_visibility(spoilt)
     np.testing.assert_allclose(found.transport, bundle.transport, atol=1e-6)
-    np.testing.assert_allclose(found.lamps, bundle.lamps, atol=1e-6)
+    np.testing.assert_allclose(found.directional, bundle.directional, atol=1e-6)
     for name in ("normal", "albedo", "mask", "coverage", "regions", "gloss", "directions", "reference"):
         assert np.array_equal(getattr(found, name), getattr(spoilt, name)), name
     assert found.meta.spec_hash != spoilt.meta.spec_hash

@@ -49,7 +49,7 @@ def sphere_bundle(seed: int, size: int = 16) -> Bundle:
         variance=as_float32(np.full(normal.shape, 1e-9)),
         transport=as_float32(transport),
         gloss=np.zeros((0, size, size), np.float32),
-        lamps=as_float32(lamps),
+        directional=as_float32(lamps),
         directions=directions,
         meta=BundleMeta(seed, "sphere", SPEC, light, {"spp": 0}),
     )

@@ -14,7 +14,8 @@ from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.core.image_io import read_exr, read_image, write_png
 from sfsnet_dr.data.alignment import face_ellipse_mask
 from sfsnet_dr.inference import outputs
-from sfsnet_dr.inference.decompose import decompose, eyes_from_text, read_picture, reconstruction_error
+from sfsnet_dr.inference.decompose import decompose_files, reconstruction_error
+from sfsnet_dr.inference.photograph import parse_eyes, read_photograph
 from sfsnet_dr.models.inference import predict_with_flip_tta
 from sfsnet_dr.models.sfsnet import SfSNet
 from sfsnet_dr.models.skipnet import SkipNet
@@ -50,7 +51,7 @@ def picture(tmp_path: Path) -> Path:
 
 
 def test_one_folder_a_picture_with_every_file(tmp_path: Path, picture: Path, weights: Path) -> None:
-    [face] = decompose([picture], tmp_path / "out", weights)
+    [face] = decompose_files([picture], tmp_path / "out", weights)
     assert [p.name for p in (tmp_path / "out").iterdir()] == ["face"]
     assert {p.name for p in (tmp_path / "out/face").iterdir()} == FILES
     assert face.name == "face"
@@ -59,7 +60,7 @@ def test_one_folder_a_picture_with_every_file(tmp_path: Path, picture: Path, wei
 
 
 def test_the_parts_make_the_reconstruction(tmp_path: Path, picture: Path, weights: Path) -> None:
-    [face] = decompose([picture], tmp_path / "out", weights)
+    [face] = decompose_files([picture], tmp_path / "out", weights)
     planes = [np.moveaxis(part, -1, 0)[None] for part in (face.normal, face.albedo)]
     expected = np.moveaxis(f_render(planes[0], planes[1], face.light.flat()[None])[0], 0, -1)
     np.testing.assert_allclose(face.reconstruction, expected, atol=1e-12)
@@ -70,7 +71,7 @@ def test_the_parts_make_the_reconstruction(tmp_path: Path, picture: Path, weight
 
 
 def test_the_exr_holds_all_numbers(tmp_path: Path, picture: Path, weights: Path) -> None:
-    [face] = decompose([picture], tmp_path / "out", weights)
+    [face] = decompose_files([picture], tmp_path / "out", weights)
     channels, strings = read_exr(tmp_path / "out/face/decomposition.exr")
     np.testing.assert_allclose(json.loads(strings["sfsnet_dr:light"]), face.light.flat())
     assert len(strings["sfsnet_dr:weights_sha256"]) == 64
@@ -85,9 +86,9 @@ def test_the_exr_holds_all_numbers(tmp_path: Path, picture: Path, weights: Path)
 
 
 def test_a_second_run_replaces_the_first_and_repeats_it(tmp_path: Path, picture: Path, weights: Path) -> None:
-    decompose([picture], tmp_path / "out", weights)
+    decompose_files([picture], tmp_path / "out", weights)
     before = {p.name: p.read_bytes() for p in (tmp_path / "out/face").iterdir()}
-    decompose([picture], tmp_path / "out", weights)
+    decompose_files([picture], tmp_path / "out", weights)
     assert {p.name: p.read_bytes() for p in (tmp_path / "out/face").iterdir()} == before
     assert [p.name for p in (tmp_path / "out").iterdir()] == ["face"]
 
@@ -95,13 +96,13 @@ def test_a_second_run_replaces_the_first_and_repeats_it(tmp_path: Path, picture:
 def test_eyes_and_side_file_give_the_same(tmp_path: Path) -> None:
     pixels = np.random.default_rng(0).uniform(size=(160, 160, 3))
     write_png(tmp_path / "big.png", pixels)
-    given = read_picture(tmp_path / "big.png", EYES)
+    given = read_photograph(tmp_path / "big.png", EYES)
     (tmp_path / "big.toml").write_text("eye_image_left = [58, 66]\neye_image_right = [102, 66]\n")
-    found = read_picture(tmp_path / "big.png")
+    found = read_photograph(tmp_path / "big.png")
     assert given.image.shape == (128, 128, 3)
     assert (given.image == found.image).all()
     assert (given.mask == found.mask).all()
-    assert eyes_from_text("--eyes", "58,66, 102,66") == EYES
+    assert parse_eyes("--eyes", "58,66, 102,66") == EYES
 
 
 def test_a_mask_comes_along_into_the_face_frame(tmp_path: Path) -> None:
@@ -109,7 +110,7 @@ def test_a_mask_comes_along_into_the_face_frame(tmp_path: Path) -> None:
     left_half = np.zeros((160, 160, 3))
     left_half[:, :80] = 1
     write_png(tmp_path / "mask.png", left_half)
-    mask = read_picture(tmp_path / "big.png", EYES, tmp_path / "mask.png").mask
+    mask = read_photograph(tmp_path / "big.png", EYES, tmp_path / "mask.png").mask
     # The middle between the eyes, x = 80 there, is x = 64 in the face frame.
     assert (mask[20:110, 20:63] == 1).all()
     assert (mask[:, 65:] == 0).all()
@@ -117,7 +118,7 @@ def test_a_mask_comes_along_into_the_face_frame(tmp_path: Path) -> None:
 
 def test_where_the_photograph_ends_the_mask_ends(tmp_path: Path) -> None:
     write_png(tmp_path / "cut.png", np.full((160, 80, 3), 0.5))
-    mask = read_picture(tmp_path / "cut.png", ((20.0, 66.0), (64.0, 66.0))).mask
+    mask = read_photograph(tmp_path / "cut.png", ((20.0, 66.0), (64.0, 66.0))).mask
     assert mask[70, 64] == 1
     assert (mask[:, 100:] == 0).all()
     assert face_ellipse_mask()[70, 100] == 1
@@ -131,17 +132,17 @@ def test_nothing_is_left_when_writing_fails(
 
     monkeypatch.setattr(outputs, "sheet", fail)
     with pytest.raises(OSError, match="disk full"):
-        decompose([picture], tmp_path / "out", weights)
+        decompose_files([picture], tmp_path / "out", weights)
     assert list((tmp_path / "out").iterdir()) == []
 
 
 def test_an_earlier_result_outlives_a_failure(
     tmp_path: Path, picture: Path, weights: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    decompose([picture], tmp_path / "out", weights)
+    decompose_files([picture], tmp_path / "out", weights)
     monkeypatch.setattr(outputs, "write_exr", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
-        decompose([picture], tmp_path / "out", weights)
+        decompose_files([picture], tmp_path / "out", weights)
     assert [p.name for p in (tmp_path / "out").iterdir()] == ["face"]
     assert {p.name for p in (tmp_path / "out/face").iterdir()} == FILES
 
@@ -150,7 +151,7 @@ def test_a_folder_of_somebody_else_is_not_touched(tmp_path: Path, picture: Path,
     (tmp_path / "out/face").mkdir(parents=True)
     (tmp_path / "out/face/thesis.txt").write_text("do not lose me")
     with pytest.raises(InputError, match=r"holds 'thesis\.txt'"):
-        decompose([picture], tmp_path / "out", weights)
+        decompose_files([picture], tmp_path / "out", weights)
     assert (tmp_path / "out/face/thesis.txt").read_text() == "do not lose me"
     assert [p.name for p in (tmp_path / "out").iterdir()] == ["face"]
 
@@ -160,7 +161,7 @@ def test_two_pictures_of_one_name_are_refused(tmp_path: Path, picture: Path, wei
     twin = tmp_path / "b/face.png"
     twin.write_bytes(picture.read_bytes())
     with pytest.raises(InputError, match="2 are called 'face'"):
-        decompose([picture, twin], tmp_path / "out", weights)
+        decompose_files([picture, twin], tmp_path / "out", weights)
     assert not (tmp_path / "out").exists()
 
 
@@ -175,7 +176,7 @@ def test_a_network_answers_at_the_size_it_was_trained_at(tmp_path: Path, picture
     *_, bias = model.normal_decoder.parameters()
     torch.nn.init.constant_(bias, 0.5)
     save_weights(tmp_path / "w.safetensors", model, recipe_metadata(64, "linear"))
-    [face] = decompose([picture], tmp_path / "out", tmp_path / "w.safetensors")
+    [face] = decompose_files([picture], tmp_path / "out", tmp_path / "w.safetensors")
     assert face.normal.shape == face.image.shape == (128, 128, 3)
     blocks = read_image(picture).pixels.reshape(64, 2, 64, 2, 3).mean((1, 3))
     small = predict_with_flip_tta(
@@ -197,7 +198,7 @@ def test_display_referred_weights_see_and_explain_the_encoded_picture(tmp_path: 
     *_, bias = model.normal_head.parameters()
     torch.nn.init.constant_(bias, 0.5)
     save_weights(weights, model, recipe_metadata(128, "display"))
-    [face] = decompose([picture], tmp_path / "out", weights)
+    [face] = decompose_files([picture], tmp_path / "out", weights)
     encoded = linear_to_srgb(read_image(picture).pixels)
     result = predict_with_flip_tta(
         model, torch.from_numpy(np.moveaxis(encoded, -1, 0)[None].astype(np.float32))

@@ -8,8 +8,9 @@ from data.transforms.test_crop import Places
 from torch import Tensor
 
 from sfsnet_dr.data.transforms.crop import View
-from sfsnet_dr.inference.decompose import Picture, take_apart
+from sfsnet_dr.inference.decompose import run_network
 from sfsnet_dr.inference.methods import ask, beyond, joined
+from sfsnet_dr.inference.photograph import Photograph
 from sfsnet_dr.models.base import NetworkOutput
 
 VIEW = View(48, 96)
@@ -93,6 +94,6 @@ def test_an_albedo_of_nothing_scales_nothing_to_infinity() -> None:
 
 
 def test_a_face_keeps_its_mask_beyond_the_view() -> None:
-    picture = Picture("ramp", np.moveaxis(ramps()[0].numpy(), 0, -1), np.full((128, 128), 0.7, np.float32))
-    [face] = take_apart(Places(), [picture], view=VIEW)
+    picture = Photograph("ramp", np.moveaxis(ramps()[0].numpy(), 0, -1), np.full((128, 128), 0.7, np.float32))
+    [face] = run_network(Places(), [picture], view=VIEW)
     np.testing.assert_array_equal(face.mask, picture.mask)

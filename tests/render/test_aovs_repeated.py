@@ -53,7 +53,7 @@ def test_bytes_do_not_depend_on_the_number_of_threads() -> None:
         three = render_aovs(scene_of(True), 8, 3, FULL, DIRECTIONS)
     finally:
         runtime.set_threads(threads)
-    for name in ("normal", "albedo", "coverage", "transport", "gloss", "lamps"):
+    for name in ("normal", "albedo", "coverage", "transport", "gloss", "directional"):
         np.testing.assert_array_equal(getattr(one, name), getattr(three, name))
     assert one.rays == three.rays
     other = render_aovs(scene_of(True), 8, 4, FULL, DIRECTIONS)
@@ -80,7 +80,7 @@ def test_an_empty_picture_is_black() -> None:
     maps = render_aovs(SurfaceScene(aside, TINY, gloss=True), 4, 0, FULL, DIRECTIONS)
     assert maps.transport.shape == (25, 24, 24, 3)
     assert maps.gloss.shape == (9, 24, 24)
-    assert maps.lamps.shape == (3, 24, 24, 3)
+    assert maps.directional.shape == (3, 24, 24, 3)
     assert not np.any(maps.transport)
     assert not np.any(maps.coverage)
     assert (maps.regions == NO_REGION).all()

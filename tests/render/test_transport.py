@@ -55,8 +55,8 @@ def test_a_lamp_into_a_bowl_is_spread_evenly_by_its_first_bounce() -> None:
     inside = without.coverage == 1
     inside &= np.hypot(*np.meshgrid(*[np.linspace(-1, 1, 32)] * 2)) < 0.8
     depth = np.abs(without.normal[..., 2])[inside]
-    np.testing.assert_allclose(without.lamps[0][inside][:, 0], albedo / np.pi * depth, rtol=2e-2)
-    spread = (with_bounces.lamps[0] - without.lamps[0])[inside]
+    np.testing.assert_allclose(without.directional[0][inside][:, 0], albedo / np.pi * depth, rtol=2e-2)
+    spread = (with_bounces.directional[0] - without.directional[0])[inside]
     expected = albedo / np.pi * (albedo / 4) * (1 + albedo / 2)
     assert spread.mean() == pytest.approx(expected, rel=1e-2)
     left, right = spread[: len(spread) // 2].mean(), spread[len(spread) // 2 :].mean()
@@ -141,8 +141,8 @@ def test_light_that_a_ball_keeps_off_a_ball_is_not_there() -> None:
     off_axis = np.linalg.norm(point - (point @ lamp[0])[..., None] * lamp[0], axis=-1)
     lit_side = maps.normal @ lamp[0] > 0.1
     on_big = ball & (np.abs(maps.normal[..., :2] * 0.4 * SMALL.size / 2 - pixel_offset()).max(axis=-1) < 1.5)
-    assert np.abs(maps.lamps[0][on_big & lit_side & (off_axis < 0.16)]).max() == 0
-    seen = maps.lamps[0][on_big & lit_side & (off_axis > 0.27)][:, 0]
+    assert np.abs(maps.directional[0][on_big & lit_side & (off_axis < 0.16)]).max() == 0
+    seen = maps.directional[0][on_big & lit_side & (off_axis > 0.27)][:, 0]
     expected = 0.5 / np.pi * (maps.normal @ lamp[0])[on_big & lit_side & (off_axis > 0.27)]
     np.testing.assert_allclose(seen, expected, rtol=0.03, atol=2e-3)
 

@@ -12,12 +12,12 @@ import torch
 from helpers.bowls import DIRECTIONS, bowl_and_ball, turned
 from numpy.typing import NDArray
 
-from sfsnet_dr.data.relight import Mixture, relight_scene
 from sfsnet_dr.data.transforms.flip import flip_transport
 from sfsnet_dr.metrics.equivalence import z_test
 from sfsnet_dr.metrics.noise_free import bias_squared
 from sfsnet_dr.render.aovs import TransportMaps, TransportOptions, render_aovs
 from sfsnet_dr.render.path_tracer import path_trace
+from sfsnet_dr.render.transport_shading import ResponseWeights, relight_responses
 from sfsnet_dr.scene.lights.equirect import MAP_SIZE
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
 from sfsnet_dr.scene.spec import CameraSpec
@@ -67,10 +67,10 @@ def test_relit_images_are_the_path_tracers(gloss: bool) -> None:
     irradiance = np.array([2.0, 1.0, 3.0])
     lit = SurfaceScene(bowl_and_ball(), TINY, [(DIRECTIONS[1], irradiance)], environment=True, gloss=gloss)
     lit.set_environment(sky)
-    light = Mixture(radiance, np.outer([0.0, 1.0, 0.0], irradiance))
+    light = ResponseWeights(radiance, np.outer([0.0, 1.0, 0.0], irradiance))
     runs = averaged(scene_of(gloss), 48, DIRECTIONS)
     image, variance = mean_and_variance(
-        [relight_scene(maps.transport, maps.gloss, maps.lamps, light) for maps in runs]
+        [relight_responses(maps.transport, maps.gloss, maps.directional, light) for maps in runs]
     )
     first, second = (path_trace(lit, 2048, seed, depth=5) for seed in (1, 2))
     reference, noise = (first.mean + second.mean) / 2, (first.variance + second.variance) / 4
@@ -89,21 +89,23 @@ def test_relit_images_are_the_path_tracers(gloss: bool) -> None:
     assert (error / reference[covered].mean(axis=0) < 1e-3).all()
     planted = {
         "one per cent": image * 1.01,
-        "no lamp": image - np.einsum("hwc,c->hwc", runs[0].lamps[1], irradiance),
+        "no lamp": image - np.einsum("hwc,c->hwc", runs[0].directional[1], irradiance),
         "light seen directly alone": relit_without_bounces(gloss, light),
     }
     if gloss:
-        planted["no gloss"] = image - relight_scene(
-            0 * runs[0].transport, runs[0].gloss, 0 * runs[0].lamps, light
+        planted["no gloss"] = image - relight_responses(
+            0 * runs[0].transport, runs[0].gloss, 0 * runs[0].directional, light
         )
     for name, wrong in planted.items():
         assert not z_test(wrong, variance, reference, noise, mask=covered, allowance=2e-4).passed, name
 
 
-def relit_without_bounces(gloss: bool, light: Mixture) -> Array:
+def relit_without_bounces(gloss: bool, light: ResponseWeights) -> Array:
     options = replace(FULL, bounces=0)
     maps = [render_aovs(scene_of(gloss), 16, seed, options, DIRECTIONS) for seed in range(16)]
-    return np.asarray(np.mean([relight_scene(m.transport, m.gloss, m.lamps, light) for m in maps], axis=0))
+    return np.asarray(
+        np.mean([relight_responses(m.transport, m.gloss, m.directional, light) for m in maps], axis=0)
+    )
 
 
 def test_the_share_beyond_the_last_bounce_is_small_and_known() -> None:
@@ -135,7 +137,9 @@ def test_light_and_viewer_can_change_places() -> None:
 
 
 def total(scene: SurfaceScene, lamp: Array) -> Array:
-    runs = [render_aovs(scene, 64, seed, replace(FULL, bounces=5), lamp[None]).lamps[0] for seed in range(4)]
+    runs = [
+        render_aovs(scene, 64, seed, replace(FULL, bounces=5), lamp[None]).directional[0] for seed in range(4)
+    ]
     return np.asarray(np.mean(runs, axis=0).sum(axis=(0, 1)), dtype=np.float64)
 
 
@@ -157,7 +161,7 @@ def test_the_mirrored_scene_answers_to_the_mirrored_light() -> None:
         here[0].coverage[:, ::-1],
     )
     assert same < 6  # 12 runs: Student's t of 22 degrees of freedom; 60,000 values reach about 6
-    one, other = [m.lamps[:, :, ::-1] for m in here], [maps.lamps for maps in there]
+    one, other = [m.directional[:, :, ::-1] for m in here], [maps.directional for maps in there]
     assert agreement(one, other, here[0].coverage[:, ::-1]) < 6
     unflipped = [maps.transport for maps in here]
     assert agreement(unflipped, [maps.transport for maps in there], here[0].coverage) > 20

@@ -158,7 +158,7 @@ def _noise_against_time(bench: Bench) -> dict[str, tuple[float, str]]:
             if bench.scene.gloss:
                 found[f"noise.gloss.{key}"] = (noise.gloss, "1")
             if len(bench.directions):
-                found[f"noise.lamps.{key}"] = (noise.lamps, "1")
+                found[f"noise.lamps.{key}"] = (noise.directional, "1")
             found[f"seconds.capture.{key}"] = (seconds, "s")
     return found
 
@@ -196,7 +196,7 @@ def _against_plain(bench: Bench) -> dict[str, tuple[float, str]]:
             bench.face.mesh, bench.scene.camera, [(direction, np.ones(3))], gloss=bench.scene.gloss
         )
         run = plain_render(lit, mask, PLAIN_SAMPLES, depth)
-        equal_noise += _seconds_for([run], run.variance / ours.lamps)
+        equal_noise += _seconds_for([run], run.variance / ours.directional)
         equal_paths += _seconds_for([run], sampling.transport)
     noise = noise_of(captures).transport
     return {

@@ -70,7 +70,7 @@ class Noise:
 
     transport: float
     gloss: float
-    lamps: float
+    directional: float
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class Variances:
 
     transport: float
     gloss: float
-    lamps: float
+    directional: float
 
 
 def noise_of(captures: list[TransportMaps]) -> Noise:
@@ -87,7 +87,9 @@ def noise_of(captures: list[TransportMaps]) -> Noise:
     white = np.mean([maps.transport[0] for maps in captures], axis=0)[captures[0].mask > 0]
     scale = float(np.sqrt(np.mean(white**2)))
     spread = variances_of(captures)
-    return Noise(*(float(np.sqrt(value)) / scale for value in (spread.transport, spread.gloss, spread.lamps)))
+    return Noise(
+        *(float(np.sqrt(value)) / scale for value in (spread.transport, spread.gloss, spread.directional))
+    )
 
 
 def variances_of(captures: list[TransportMaps]) -> Variances:
@@ -102,5 +104,5 @@ def variances_of(captures: list[TransportMaps]) -> Variances:
     return Variances(
         mean_variance([maps.transport for maps in captures]),
         mean_variance([maps.gloss for maps in captures]),
-        mean_variance([maps.lamps for maps in captures]),
+        mean_variance([maps.directional for maps in captures]),
     )

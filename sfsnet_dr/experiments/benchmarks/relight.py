@@ -24,12 +24,12 @@ from sfsnet_dr.core import provenance
 from sfsnet_dr.core.config import fingerprint
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.core.files import atomic_path, output_dir
+from sfsnet_dr.core.visualize import on_white, png_bytes, show_linear
 from sfsnet_dr.data.generate import identity
-from sfsnet_dr.data.relight import Mixture, mixture, relight_scene
-from sfsnet_dr.inference.visualize import on_white, png_bytes, show_linear
 from sfsnet_dr.metrics.bootstrap import interval
 from sfsnet_dr.render.aovs import TransportMaps, TransportOptions, render_aovs
 from sfsnet_dr.render.path_tracer import path_trace
+from sfsnet_dr.render.transport_shading import ResponseWeights, relight_responses, response_weights
 from sfsnet_dr.report.html import Block, Gallery, KeyNumbers, Note, Section, Table, write_page
 from sfsnet_dr.report.record import Record, measured, write_records
 from sfsnet_dr.scene.faces.face import sample_face
@@ -122,8 +122,8 @@ class RelitFaces:
         self, pair: Sequence[TransportMaps], directions: Array, light: Light, view: _View, black: _View
     ) -> tuple[Array, Array, Array]:
         """Squared errors (len(PARTS),) under one light, and the two images."""
-        weights, depth = mixture(light, directions, MAP_ORDER), self._spec.sampling.bounces + 2
-        relit = [relight_scene(maps.transport, maps.gloss, maps.lamps, weights) for maps in pair]
+        weights, depth = response_weights(light, directions, MAP_ORDER), self._spec.sampling.bounces + 2
+        relit = [relight_responses(maps.transport, maps.gloss, maps.directional, weights) for maps in pair]
         traced, cut = (self._trace(view, light, end) for end in (-1, depth))
         smooth, gloss, mirror = cut, [np.zeros_like(relit[0])] * 2, [np.zeros_like(relit[0])] * 2
         if light.environment is not None:
@@ -183,7 +183,7 @@ def _light(spec: LightSpec, kind: LightKind, rng: np.random.Generator, direction
     return sample_scene_light(rng, replace(spec, **only), directions)  # type: ignore[arg-type]
 
 
-def _gloss(maps: TransportMaps, weights: Mixture) -> Array:
+def _gloss(maps: TransportMaps, weights: ResponseWeights) -> Array:
     """What the relit image holds of the light's mirror image."""
     return np.asarray(np.einsum("khw,kc->hwc", maps.gloss, weights.radiance[: len(maps.gloss)]))
 

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sfsnet_dr.core.visualize import Pixels, on_white, png_bytes, show_linear, show_normals
 from sfsnet_dr.data.bundle import Bundle
 from sfsnet_dr.experiments.demo.result import TOLERANCE, DemoResult
 from sfsnet_dr.experiments.validation.page import section
 from sfsnet_dr.experiments.validation.summary import duration, pooled
 from sfsnet_dr.inference.outputs import pictures
-from sfsnet_dr.inference.visualize import Pixels, on_white, png_bytes, show_linear, show_normals
 from sfsnet_dr.models.shipped import BEST
 from sfsnet_dr.report.html import Figure, Gallery, KeyNumbers, Note, Section, Table, write_page
 from sfsnet_dr.report.plots import loss_curve

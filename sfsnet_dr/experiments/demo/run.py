@@ -23,8 +23,9 @@ from sfsnet_dr.experiments.doctor import Report, diagnose
 from sfsnet_dr.experiments.validation.records import study_records
 from sfsnet_dr.experiments.validation.run import measure
 from sfsnet_dr.experiments.validation.summary import Study
-from sfsnet_dr.inference.decompose import Picture, reconstruction_error, take_apart
+from sfsnet_dr.inference.decompose import decompose_photographs, reconstruction_error
 from sfsnet_dr.inference.outputs import Decomposition, write_decomposition
+from sfsnet_dr.inference.photograph import Photograph
 from sfsnet_dr.metrics.normals import NormalErrors, angular_error_deg
 from sfsnet_dr.models.inference import load_model
 from sfsnet_dr.models.shipped import BEST
@@ -120,7 +121,7 @@ def import_seconds() -> float:
     return min(once() for _ in range(5))
 
 
-def astronaut() -> Picture:
+def astronaut() -> Photograph:
     """scikit-image's bundled portrait (NASA, public domain) in the canonical frame, linear."""
     from skimage.data import astronaut as load
 
@@ -129,7 +130,7 @@ def astronaut() -> Picture:
     eyes = read_eyes(Path(__file__).with_name("astronaut.toml"))
     encoded: NDArray[np.uint8] = load()  # type: ignore[no-untyped-call]
     linear = srgb_to_linear(encoded / 255.0)
-    return Picture("astronaut", to_canonical(linear, eyes), face_ellipse_mask())
+    return Photograph("astronaut", to_canonical(linear, eyes), face_ellipse_mask())
 
 
 def _checkout(root: Path | str) -> Path:
@@ -176,14 +177,13 @@ def _validate(path: Path, screen: Console) -> Study:
     return measure(build_subject(spec), light_set(LIGHTS), cold=False)
 
 
-def _unseen(truth: Bundle) -> Picture:
+def _unseen(truth: Bundle) -> Photograph:
     background = _BACKGROUND * (1.0 - truth.coverage[..., None])
-    return Picture("unseen-face", (truth.reference + background).astype(np.float32), truth.mask)
+    return Photograph("unseen-face", (truth.reference + background).astype(np.float32), truth.mask)
 
 
-def _decompose(pictures: Sequence[Picture], weights: Path | str) -> list[Decomposition]:
-    trained = load_model(weights)
-    return take_apart(trained.model, pictures, view=trained.view, values=trained.values)
+def _decompose(photographs: Sequence[Photograph], weights: Path | str) -> list[Decomposition]:
+    return decompose_photographs(load_model(weights), photographs)
 
 
 def _records(

@@ -15,21 +15,14 @@ import torch
 from torch import Tensor
 
 from sfsnet_dr.core.color_torch import linear_to_srgb, srgb_to_linear
+from sfsnet_dr.core.visualize import Pixels, on_white, show_albedo, show_linear, show_normals
 from sfsnet_dr.experiments.evaluation.failure_cases import Cause, reason, score
 from sfsnet_dr.experiments.evaluation.measure import ImageErrors, Measured, answers
 from sfsnet_dr.experiments.evaluation.records import normal_statistics
 from sfsnet_dr.experiments.evaluation.samples import Shot, spread_out
 from sfsnet_dr.inference.methods import Answer, Method, NetworkMethod
 from sfsnet_dr.inference.relight import VIEW_LIGHTS, directional
-from sfsnet_dr.inference.visualize import (
-    Pixels,
-    SheetStyle,
-    on_white,
-    sheet,
-    show_albedo,
-    show_linear,
-    show_normals,
-)
+from sfsnet_dr.inference.sheet import SheetStyle, sheet
 from sfsnet_dr.metrics.light import light_direction
 from sfsnet_dr.metrics.normals import angles_deg
 from sfsnet_dr.render.shading_torch import shading

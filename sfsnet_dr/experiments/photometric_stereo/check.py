@@ -119,5 +119,5 @@ def _render(
     block = frontal_mask().shape[0] // spec.camera.size
     ellipse = frontal_mask().reshape(spec.camera.size, block, spec.camera.size, block).mean((1, 3))
     mask = (found.mask > 0.99) & (ellipse > 0.5)
-    exposed = found.lamps / np.quantile(found.lamps[:, mask], 0.995)
+    exposed = found.directional / np.quantile(found.directional[:, mask], 0.995)
     return np.rint(np.clip(exposed, 0, 1) * 255) / 255, np.asarray(found.normal, np.float64), mask

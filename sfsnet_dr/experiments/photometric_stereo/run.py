@@ -16,12 +16,12 @@ import torch
 
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.core.files import output_dir
+from sfsnet_dr.core.visualize import on_white, show_albedo, show_linear, show_normals
 from sfsnet_dr.data.databases.base import Listing
 from sfsnet_dr.data.normal_labels import SurfaceLabels, write_index, write_surface
 from sfsnet_dr.estimation.light_intensities import Shots, Strobes, estimate_strobes
 from sfsnet_dr.estimation.photometric_stereo import FEWEST, Surface, photometric_stereo, unit_directions
 from sfsnet_dr.experiments.photometric_stereo.captures import Capture, Captures
-from sfsnet_dr.inference.visualize import on_white, show_albedo, show_linear, show_normals
 from sfsnet_dr.metrics.bootstrap import interval
 from sfsnet_dr.metrics.normals import angles_deg
 from sfsnet_dr.report.record import Record, dotted, measured
@@ -113,7 +113,7 @@ def label_surfaces(
 
 def surface_sheet(labels: Sequence[SurfaceLabels], most: int = 12) -> bytes:
     """Normals, albedo and confidence of some captures, as one PNG."""
-    from sfsnet_dr.inference.visualize import sheet
+    from sfsnet_dr.inference.sheet import sheet
 
     cells = []
     for face in labels[:: max(1, len(labels) // most)][:most]:

@@ -9,23 +9,17 @@ import torch
 from numpy.typing import NDArray
 
 from sfsnet_dr.core.color_torch import srgb_to_linear
+from sfsnet_dr.core.visualize import Pixels, on_white, show_encoded, show_linear, show_normals
 from sfsnet_dr.data.photos import PhotoSource
 from sfsnet_dr.data.pseudo_labels import decoded, load_pseudo_labels
 from sfsnet_dr.data.transforms.crop import View
 from sfsnet_dr.experiments.pipeline.config import NETWORKS, Plan
 from sfsnet_dr.experiments.pipeline.holdout_split import find
 from sfsnet_dr.experiments.pipeline.measure import PHOTOGRAPHS, Outcome, measure, training_seconds
-from sfsnet_dr.inference.decompose import Picture, take_apart
+from sfsnet_dr.inference.decompose import run_network
 from sfsnet_dr.inference.outputs import pictures
-from sfsnet_dr.inference.visualize import (
-    Pixels,
-    SheetStyle,
-    on_white,
-    sheet,
-    show_encoded,
-    show_linear,
-    show_normals,
-)
+from sfsnet_dr.inference.photograph import Photograph
+from sfsnet_dr.inference.sheet import SheetStyle, sheet
 from sfsnet_dr.render.shading_torch import shading
 from sfsnet_dr.report.html import Block, Figure, KeyNumbers, Note, Section, Table, write_page
 from sfsnet_dr.report.plots import loss_curve
@@ -197,7 +191,7 @@ def _photographs(outcome: Outcome) -> Section:
         image = srgb_to_linear(outcome.photographs.images[index].float() / 255).permute(1, 2, 0).numpy()
         mask = (outcome.photographs.masks[index, 0].float() / 255).numpy()
         errors = (f"{name} {outcome.errors[name]['recon.mae'][index]:.1f}" for name in NETWORKS)
-        rows = _rows(outcome, Picture(outcome.photographs.names[index], image, mask))
+        rows = _rows(outcome, Photograph(outcome.photographs.names[index], image, mask))
         caption = f"By SfSNet's reconstruction, {label}. MAE: {', '.join(errors)}."
         blocks.append(_figure(rows, outcome.photographs.names[index], caption))
     return Section("Held-back photographs", blocks)
@@ -224,22 +218,22 @@ def _rendered(outcome: Outcome) -> Section:
             ("", np.full_like(show(image), 255)),
         ]
         seen = image if outcome.plan.first.real.values == "linear" else _linear(image)
-        rows = _rows(outcome, Picture(f"face {index + 1}", np.asarray(seen, np.float32), mask))
+        rows = _rows(outcome, Photograph(f"face {index + 1}", np.asarray(seen, np.float32), mask))
         caption = "Input and product of the true parts differ by shadows, gloss and noise."
         blocks.append(_figure(known + rows, f"Rendered face {index + 1}", caption))
     return Section("Held-back rendered faces", blocks)
 
 
 def _linear(shown: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Encoded values decoded, for ``take_apart``, which encodes them again."""
+    """Encoded values decoded, for ``run_network``, which encodes them again."""
     return np.asarray(srgb_to_linear(torch.from_numpy(shown)).numpy(), np.float32)
 
 
-def _rows(outcome: Outcome, picture: Picture) -> list[tuple[str, Pixels]]:
+def _rows(outcome: Outcome, picture: Photograph) -> list[tuple[str, Pixels]]:
     """A row of pictures for each network."""
     cells = []
     for name, network in outcome.trained.items():
-        [face] = take_apart(network.model, [picture], view=View(len(picture.image)), values=network.values)
+        [face] = run_network(network.model, [picture], view=View(len(picture.image)), values=network.values)
         shown = pictures(face)
         cells += [(name if part == "input" else shown[part][0], shown[part][1]) for part in _PARTS]
     return cells

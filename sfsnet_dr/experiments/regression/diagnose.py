@@ -16,9 +16,9 @@ import numpy.typing as npt
 from sfsnet_dr.core.color import linear_to_srgb
 from sfsnet_dr.core.files import output_dir, write_text
 from sfsnet_dr.core.image_io import write_exr
+from sfsnet_dr.core.visualize import png_bytes, show_linear
 from sfsnet_dr.experiments.regression.expected import Truth, shaded
 from sfsnet_dr.experiments.regression.matrix import Row
-from sfsnet_dr.inference.visualize import png_bytes, show_linear
 from sfsnet_dr.metrics.equivalence import Estimate, two_sided_p
 from sfsnet_dr.render.renderers.base import Capabilities
 from sfsnet_dr.render.renderers.sh import surface_maps

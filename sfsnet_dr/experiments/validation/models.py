@@ -16,6 +16,13 @@ import numpy.typing as npt
 
 from sfsnet_dr.render.aovs import TransportMaps, TransportOptions, render_aovs
 from sfsnet_dr.render.shading_drjit_reference import render_planes
+from sfsnet_dr.render.transport_shading import (
+    DrjitTransport,
+    ResponseWeights,
+    drjit_weights,
+    relight_responses,
+    weigh_responses,
+)
 from sfsnet_dr.scene.jit import dr, mi, upload
 from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
@@ -113,7 +120,11 @@ class Known:
         if rung.kind == "analytic":
             return 0.0
         coefficients = light.coefficients(rung.order).values
-        first, second = (_weighed(seen, coefficients) for seen in self.transport[rung.kind])
+        weights = ResponseWeights(coefficients, np.zeros((0, 3)))
+        first, second = (
+            relight_responses(seen.transport[: len(coefficients)], seen.gloss, seen.directional, weights)
+            for seen in self.transport[rung.kind]
+        )
         difference = ((first - second) / 2) ** 2 * self.mask[..., None]
         return float(difference.sum() / (3 * self.mask.sum()))
 
@@ -137,27 +148,18 @@ def know(subject: Subject, seed: int, rungs: tuple[Rung, ...]) -> Known:
 
 def kernel_of(rung: Rung) -> Callable[..., mi.Color3f]:
     """The function that makes a rung's image of its inputs and weights; not evaluated."""
-    return _shade if rung.kind == "analytic" else _weigh
+    return _shade if rung.kind == "analytic" else weigh_responses
 
 
 def weights(rung: Rung, radiance: Radiance) -> tuple[Any, ...]:
     """Coefficients of the rung's order as the kernel takes them: they change without a new compilation."""
     if rung.kind == "analytic":
         return ([dr.opaque(mi.Float, float(x)) for x in radiance.to_shading().flat()],)
-    return ([mi.Color3f(*(dr.opaque(mi.Float, float(x)) for x in row)) for row in radiance.values],)
+    return (drjit_weights(radiance.values),)
 
 
 def _shade(normal: mi.Vector3f, albedo: mi.Color3f, light: list[mi.Float]) -> mi.Color3f:
     return mi.Color3f(*render_planes([*normal], [*albedo], light))
-
-
-def _weigh(answers: list[mi.Color3f], gloss: list[mi.Float], light: list[mi.Color3f]) -> mi.Color3f:
-    total = answers[0] * light[0]
-    for answer, weight in zip(answers[1:], light[1:], strict=True):
-        total = dr.fma(answer, weight, total)
-    for answer, weight in zip(gloss, light, strict=False):
-        total = dr.fma(mi.Color3f(answer), weight, total)
-    return total
 
 
 def _surface_planes(maps: TransportMaps) -> tuple[Any, ...]:
@@ -165,21 +167,13 @@ def _surface_planes(maps: TransportMaps) -> tuple[Any, ...]:
 
 
 def _answers(captures: tuple[TransportMaps, TransportMaps]) -> tuple[Any, ...]:
-    transport, gloss = (
-        (getattr(captures[0], k) + getattr(captures[1], k)) / 2 for k in ("transport", "gloss")
-    )
-    return [mi.Color3f(*_planes(answer)) for answer in transport], [
-        upload(mi.Float, answer) for answer in gloss
-    ]
+    means = [(getattr(captures[0], k) + getattr(captures[1], k)) / 2 for k in ("transport", "gloss")]
+    held = DrjitTransport(*means)
+    return held.responses, held.gloss
 
 
 def _planes(image: npt.NDArray[np.float32]) -> list[mi.Float]:
     return [upload(mi.Float, image[..., c]) for c in range(image.shape[-1])]
-
-
-def _weighed(seen: TransportMaps, light: Image) -> Image:
-    image = np.einsum("khwc,kc->hwc", seen.transport[: len(light)], light)
-    return np.asarray(image + np.einsum("khw,kc->hwc", seen.gloss, light[: len(seen.gloss)]))
 
 
 def _timed(

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from sfsnet_dr.core.visualize import on_white, png_bytes, show_linear
 from sfsnet_dr.experiments.validation.error_sources import CAUSES
 from sfsnet_dr.experiments.validation.measure import LightResult
 from sfsnet_dr.experiments.validation.renderers import SAMPLES, Rival, spectral_size
 from sfsnet_dr.experiments.validation.summary import Study, duration, paths, pooled, sentence
-from sfsnet_dr.inference.visualize import on_white, png_bytes, show_linear
 from sfsnet_dr.metrics.image import INSTALL
 from sfsnet_dr.render.renderers.base import Capabilities
 from sfsnet_dr.report.html import Block, Figure, Gallery, KeyNumbers, Section, Table, write_page

@@ -17,10 +17,10 @@ import numpy.typing as npt
 
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.core.files import output_dir, write_text
+from sfsnet_dr.core.visualize import on_white, show_linear
 from sfsnet_dr.experiments.worst_light.responses import Effort, mean, p95
 from sfsnet_dr.experiments.worst_light.run import DIMMEST, LIGHTS, Shown, WorstLight, steps, study
 from sfsnet_dr.experiments.worst_light.search import Worst
-from sfsnet_dr.inference.visualize import on_white, show_linear
 from sfsnet_dr.report.console import bar
 from sfsnet_dr.report.html import Block, Figure, KeyNumbers, Note, Section, Table, write_page
 from sfsnet_dr.report.light_plots import Panel, hemispheres, panels

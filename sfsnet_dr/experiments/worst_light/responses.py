@@ -198,7 +198,7 @@ def directional_answers(
             if mask is None:
                 mask = counted(of.subject, run)
                 model = analytic(run, mask)
-            found.append(_pixels(run.lamps, mask).astype(np.float32))
+            found.append(_pixels(run.directional, mask).astype(np.float32))
             on_batch()
         runs.append(np.concatenate(found, axis=1)[:, : len(directions)])
     assert mask is not None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from sfsnet_dr.render.path_tracer import path_trace
 from sfsnet_dr.render.renderers.base import Budget, Capabilities, Image
 from sfsnet_dr.scene.lights.light import Light
+from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
 from sfsnet_dr.scene.scene_cache import SceneCache
 from sfsnet_dr.scene.subject import Subject
 
@@ -31,5 +32,9 @@ class MitsubaRenderer:
         """
         bounces = self.capabilities.bounces
         depth = -1 if bounces < 0 else bounces + 2
-        scene = _scenes.show(subject.mesh, subject.camera, light, gloss=subject.spec.has_gloss)
-        return path_trace(scene, budget.samples, budget.seed, depth).mean
+        return path_trace(show_subject(subject, light), budget.samples, budget.seed, depth).mean
+
+
+def show_subject(subject: Subject, light: Light | None = None) -> SurfaceScene:
+    """Return the Mitsuba scene of a subject under a light (None: black); good until the next call."""
+    return _scenes.show(subject.mesh, subject.camera, light, gloss=subject.spec.has_gloss)

@@ -47,15 +47,31 @@ def is_built_in(name: str) -> bool:
 
 
 def find_renderer(name: str) -> Renderer:
-    """The renderer of a name, loaded.
+    """Load a renderer by its name.
+
+    Args:
+        name: of ours, such as ``"drjit-order2"`` or ``"mitsuba-llvm-path"``, or of another package's entry
+            point in the group ``sfsnet_dr.renderers``; ``renderers()`` has all names.
+
+    Returns:
+        An object with ``name``, ``capabilities`` and ``render(subject, light, budget)``, which gives a linear
+        image (H, W, 3).
 
     Raises:
-        InputError: for a name that nobody has, with the nearest one that somebody has.
-        NotInstalled: if what it needs is optional and missing, with the command.
+        InputError: for an unknown name, with the nearest known one.
+        NotInstalled: if the renderer needs an optional package that is missing, with the command.
+
+    Example:
+        >>> import sfsnet_dr as sf
+        >>> from sfsnet_dr.render.renderers.base import Budget
+        >>> renderer = sf.find_renderer("numpy-order2")
+        >>> light = sf.Light.from_environment(1.0)
+        >>> renderer.render(sf.build_subject("sphere"), light, Budget()).shape
+        (128, 128, 3)
     """
     known = renderers()
     if name not in known:
-        raise InputError(f"renderer {name!r}: nobody has this name; {nearest(name, known)}")
+        raise InputError(f"renderer {name!r}: unknown; {nearest(name, known)}")
     return known[name]()
 
 

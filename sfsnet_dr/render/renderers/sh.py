@@ -23,7 +23,7 @@ import torch
 from sfsnet_dr.render import shading_drjit, shading_numpy, shading_torch
 from sfsnet_dr.render.aovs import TransportOptions, render_aovs
 from sfsnet_dr.render.renderers.base import Budget, Capabilities, Image
-from sfsnet_dr.scene.jit import dr, mi, upload
+from sfsnet_dr.render.transport_shading import DrjitTransport, relight_transport
 from sfsnet_dr.scene.lights.light import MAP_ORDER, Light
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
 from sfsnet_dr.scene.subject import Subject
@@ -166,34 +166,6 @@ def _tensors(form: Callable[..., torch.Tensor], *arrays: npt.NDArray[np.floating
     return form(*(torch.from_numpy(array.astype(np.float32, copy=False)) for array in arrays)).numpy()
 
 
-class _Uploaded:
-    """Transport in Dr.Jit's memory: a colour a pixel for each basis light."""
-
-    def __init__(self, transport: Planes) -> None:
-        self.shape = transport.shape[1:]
-        self.responses = [
-            mi.Color3f(*(upload(mi.Float, response[..., c]) for c in range(3))) for response in transport
-        ]
-
-
-def _weighed_by_numpy(transport: Planes, light: Array) -> Image:
-    """sum_k T_k l_k, added up in float64."""
-    image = np.zeros(transport.shape[1:])
-    for response, weight in zip(transport, light, strict=False):
-        image += response * weight
-    return image
-
-
-def _weighed_by_drjit(transport: _Uploaded, light: Array) -> Image:
-    """The same in one kernel, which is the same for every light."""
-    weights, total = upload(mi.Float, light), mi.Color3f(0.0)
-    for k, response in enumerate(transport.responses[: len(light)]):
-        weight = mi.Color3f(*(dr.gather(mi.Float, weights, mi.UInt32(3 * k + c)) for c in range(3)))
-        total = dr.fma(response, weight, total)
-    dr.eval(total)
-    return np.asarray(total, dtype=np.float32).T.reshape(transport.shape)
-
-
 _SHADING: Final[dict[str, Callable[[Planes, Planes, Array], Image]]] = {
     "numpy": _by_numpy,
     "torch": _by_torch,
@@ -202,11 +174,11 @@ _SHADING: Final[dict[str, Callable[[Planes, Planes, Array], Image]]] = {
 _TRANSPORT: Final[dict[str, dict[str, Callable[[Subject, int], Any]]]] = {
     "numpy": {"visibility": direct_transport, "bounce": bounced_transport},
     "drjit": {
-        "visibility": once(lambda subject, seed: _Uploaded(direct_transport(subject, seed))),
-        "bounce": once(lambda subject, seed: _Uploaded(bounced_transport(subject, seed))),
+        "visibility": once(lambda subject, seed: DrjitTransport(direct_transport(subject, seed))),
+        "bounce": once(lambda subject, seed: DrjitTransport(bounced_transport(subject, seed))),
     },
 }
 _WEIGH: Final[dict[str, Callable[[Any, Array], Image]]] = {
-    "numpy": _weighed_by_numpy,
-    "drjit": _weighed_by_drjit,
+    "numpy": lambda transport, light: relight_transport(transport[: len(light)], Radiance(light)),
+    "drjit": lambda transport, light: transport.relight(light),
 }

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from sfsnet_dr.core.color import LUMINANCE
 from sfsnet_dr.core.conventions import LIGHT_ORDER
 from sfsnet_dr.core.errors import InputError, check_shape
+from sfsnet_dr.core.visualize import on_white, png_bytes, show_linear
 from sfsnet_dr.scene.lights.equirect import MAP_SIZE, turn_map
 from sfsnet_dr.scene.lights.vmf_lobes import Lobe
 from sfsnet_dr.sh.coefficients import Radiance, Shading
@@ -69,6 +70,57 @@ class Light:
             length = float(np.linalg.norm(direction))
             if not abs(length - 1.0) < 1e-6:
                 raise InputError(f"{self.name}: direction of length {length} found, a unit vector is needed")
+
+    @classmethod
+    def from_direction(
+        cls, direction: npt.ArrayLike, irradiance: npt.ArrayLike = np.pi, name: str = "directional"
+    ) -> Light:
+        """Return one distant lamp, which casts hard shadows.
+
+        Args:
+            direction: (3,) toward the lamp, any length above 0: x to the image's right, y up, z to the
+                viewer.
+            irradiance: on a surface that faces it, one number or (3,) linear RGB; at pi a white surface that
+                faces it shows 1.
+            name: for people to read.
+
+        Raises:
+            InputError: for a direction of length 0, or values that are no radiance.
+
+        Example:
+            >>> import sfsnet_dr as sf
+            >>> lamp = sf.Light.from_direction((1, 1, 1))
+            >>> lamp.directional[0][0].round(3)
+            array([0.577, 0.577, 0.577])
+        """
+        toward = np.asarray(direction, np.float64)
+        check_shape("direction", toward, "3")
+        length = float(np.linalg.norm(toward))
+        if not 0 < length < np.inf:
+            raise InputError(f"direction: length {length} found, a finite length above 0 is needed")
+        return cls(name, None, ((toward / length, np.broadcast_to(irradiance, 3).astype(np.float64)),))
+
+    @classmethod
+    def from_environment(cls, image: npt.ArrayLike, name: str = "environment") -> Light:
+        """Return the light of an environment map.
+
+        Args:
+            image: (64, 128, 3) linear radiance: row 0 up (+y), or one number for light from everywhere.
+            name: for people to read.
+
+        Raises:
+            InputError: for another shape, or values that are no radiance.
+
+        Example:
+            >>> import sfsnet_dr as sf
+            >>> white = sf.Light.from_environment(1.0)
+            >>> white.shading_label().evaluate([[0, 0, 1]]).round(6)
+            array([[1., 1., 1.]])
+        """
+        radiance = np.asarray(image, np.float64)
+        if radiance.ndim == 0:
+            radiance = np.full((*MAP_SIZE, 3), float(radiance))
+        return cls(name, radiance)
 
     def environment_coefficients(self, order: int = MAP_ORDER) -> Radiance:
         """Radiance coefficients (K, 3) of the map alone; zeros without one."""
@@ -150,6 +202,13 @@ class Light:
         environment = None if self.environment is None else turn_map(self.environment, rotation)
         directional = tuple((_unit(rotation @ toward), power) for toward, power in self.directional)
         return replace(self, environment=environment, directional=directional)
+
+    def _repr_png_(self) -> bytes:
+        """A white ball under the light, for notebooks."""
+        y, x = 1 - (np.mgrid[:128, :128] + 0.5) / 64
+        inside = x**2 + y**2 < 1
+        normals = np.stack([-x, y, np.sqrt(np.where(inside, 1 - x**2 - y**2, 0))], -1)
+        return png_bytes(on_white(show_linear(0.8 * self.shading(normals)), inside.astype(np.float64)))
 
     def _metered(self, level: float) -> float:
         if not level > 0:

@@ -6,7 +6,8 @@ import torch
 from torch import Tensor
 
 from sfsnet_dr.data.transforms.camera import USUAL, metering_gain
-from sfsnet_dr.inference.decompose import Picture, take_apart
+from sfsnet_dr.inference.decompose import run_network
+from sfsnet_dr.inference.photograph import Photograph
 from sfsnet_dr.models.base import Network, NetworkOutput
 
 
@@ -41,9 +42,9 @@ class Grey(Network):
 
 @pytest.mark.parametrize("level", [0.01, 0.3, 0.9])
 def test_the_reconstruction_has_the_exposure_of_the_picture(level: float) -> None:
-    picture = Picture("p", np.full((128, 128, 3), level, np.float32), np.ones((128, 128), np.float32))
+    picture = Photograph("p", np.full((128, 128, 3), level, np.float32), np.ones((128, 128), np.float32))
     network = Grey()
-    [face] = take_apart(network, [picture])
+    [face] = run_network(network, [picture])
     assert USUAL[0] - 1e-6 <= float(network.seen.mean()) <= USUAL[1] + 1e-6
     # Rounding of float32, eight numbers in a row.
     np.testing.assert_allclose(face.reconstruction, level, rtol=1e-5)

@@ -70,7 +70,7 @@ def test_covered_is_the_share_that_is_shown() -> None:
 def test_bundles_are_cropped_alike(tmp_path: Path) -> None:
     folder = write_spheres(tmp_path / "spheres", 2)
     whole, middle = load_faces(folder), load_faces(folder, View(12, 96))
-    assert torch.equal(middle.lamps, whole.lamps[..., 2:14, 2:14])
+    assert torch.equal(middle.directional, whole.directional[..., 2:14, 2:14])
     assert torch.equal(middle.mask, whole.mask[..., 2:14, 2:14])
     prints = {load_faces(folder, view).fingerprint for view in (None, View(12, 96), View(12, 112), View(12))}
     assert len(prints) == 4

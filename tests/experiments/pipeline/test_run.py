@@ -16,6 +16,7 @@ from rich.console import Console
 from torch import Tensor
 
 from sfsnet_dr.core.errors import InputError
+from sfsnet_dr.core.visualize import png_bytes
 from sfsnet_dr.data.dataset import load_faces
 from sfsnet_dr.data.photos import PhotoSet
 from sfsnet_dr.data.transforms.background import Augmentation
@@ -28,7 +29,6 @@ from sfsnet_dr.experiments.pipeline.holdout_split import (
     reconstruction,
 )
 from sfsnet_dr.experiments.pipeline.run import run_stages
-from sfsnet_dr.inference.visualize import png_bytes
 from sfsnet_dr.metrics.image import mae_8bit, rmse_8bit
 from sfsnet_dr.models.base import Network, NetworkOutput
 from sfsnet_dr.models.inference import LoadedModel, mirror_output

@@ -125,7 +125,7 @@ def test_every_renderer_says_what_it_is() -> None:
 
 
 def test_an_unknown_name_gets_the_nearest() -> None:
-    with pytest.raises(InputError, match="'torch-order9': nobody has this name; did you mean 'torch-order"):
+    with pytest.raises(InputError, match="'torch-order9': unknown; did you mean 'torch-order"):
         find_renderer("torch-order9")
 
 

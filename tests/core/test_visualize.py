@@ -9,15 +9,8 @@ import pytest
 from PIL import Image
 
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.inference.visualize import (
-    Pixels,
-    SheetStyle,
-    on_white,
-    png_bytes,
-    sheet,
-    show_linear,
-    show_normals,
-)
+from sfsnet_dr.core.visualize import Pixels, on_white, png_bytes, show_linear, show_normals
+from sfsnet_dr.inference.sheet import SheetStyle, sheet
 
 
 def decoded(png: bytes) -> Pixels:
