@@ -41,7 +41,8 @@ def test_every_source_file_is_in_the_wheel_and_nothing_else(wheel: zipfile.ZipFi
     ours = {
         path.relative_to(ROOT).as_posix()
         for path in (ROOT / "sfsnet_dr").rglob("*")
-        if path.suffix in {".py", ".html", ".toml", ".json", ".md", ".safetensors"} or path.name == "py.typed"
+        if path.suffix in {".py", ".pyi", ".html", ".toml", ".json", ".md", ".safetensors", ".npz"}
+        or path.name == "py.typed"
     }
     assert packed == ours
     assert "sfsnet_dr/report/templates/page.html" in packed

