@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
-from sfsnet_dr.cli.common import Json, Out, Result, command_line, of_records
+from sfsnet_dr.cli.common import Json, Out, Result, command_line, result_of_records
 
 if TYPE_CHECKING:
     from sfsnet_dr.report.record import Record
@@ -40,14 +40,14 @@ class BenchSynth:
 
     def run(self) -> Result:
         from sfsnet_dr.experiments.benchmarks.generate import STEPS, bench_synth, write_bench
-        from sfsnet_dr.report.console import bar
+        from sfsnet_dr.report.console import progress_bar
 
-        with bar("measuring", STEPS) as advance:
+        with progress_bar("measuring", STEPS) as advance:
             records = bench_synth(
                 _spec(self.scene), faces=self.faces, seed=self.seed, command=command_line(), on_step=advance
             )
         write_bench(self.out, records)
-        return of_records(records, f"page: {self.out / 'index.html'}")
+        return result_of_records(records, f"page: {self.out / 'index.html'}")
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class BenchRelight:
 
     def run(self) -> Result:
         from sfsnet_dr.experiments.benchmarks.relight import bench_relight
-        from sfsnet_dr.report.console import bar
+        from sfsnet_dr.report.console import progress_bar
         from sfsnet_dr.scene.lights.spec import LightSpec
 
         spec = _spec(self.scene)
@@ -79,11 +79,11 @@ class BenchRelight:
             light = replace(spec.light or LightSpec(), environments=str(self.environments))
             spec = replace(spec, light=light)
         spec = replace(spec, sampling=replace(spec.sampling, reference=self.paths))
-        with bar("measuring faces", self.faces) as advance:
+        with progress_bar("measuring faces", self.faces) as advance:
             records = bench_relight(
                 spec, self.out, faces=self.faces, seed=self.seed, command=command_line(), on_face=advance
             )
-        return of_records(records, f"page: {self.out / 'index.html'}")
+        return result_of_records(records, f"page: {self.out / 'index.html'}")
 
 
 def _spec(scene: Path | None) -> SceneSpec:

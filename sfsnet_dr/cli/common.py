@@ -48,9 +48,9 @@ def command_line() -> str:
     return shlex.join(["sfsnet-dr", *sys.argv[1:]])
 
 
-def of_records(records: Sequence[Record], *more: str) -> Result:
+def result_of_records(records: Sequence[Record], *more: str) -> Result:
     """Records as JSON, or as lines to read with more lines after them."""
-    from sfsnet_dr.report.console import lines
+    from sfsnet_dr.report.console import record_lines
     from sfsnet_dr.report.record import to_json
 
-    return Result(text="\n".join([*lines(records), *more]), json=to_json(records))
+    return Result(text="\n".join([*record_lines(records), *more]), json=to_json(records))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from sfsnet_dr.cli.common import Json, Out, Result, command_line, of_records
+from sfsnet_dr.cli.common import Json, Out, Result, command_line, result_of_records
 from sfsnet_dr.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -41,18 +41,18 @@ class DataCheck:
 
     def run(self) -> Result:
         from sfsnet_dr.data.databases.registry import check_database
-        from sfsnet_dr.report.console import bar
-        from sfsnet_dr.report.record import dotted, measured
+        from sfsnet_dr.report.console import progress_bar
+        from sfsnet_dr.report.record import dotted_word, make_record
 
-        with bar("reading photographs", self.decode) as advance:
+        with progress_bar("reading photographs", self.decode) as advance:
             found = check_database(self.database, self.folder, self.decode, advance)
         records = [
-            measured(f"data.{dotted(self.database)}.{name}", count, "1", command=command_line())
+            make_record(f"data.{dotted_word(self.database)}.{name}", count, "1", command=command_line())
             for name, count in found.counts.items()
         ]
         lines = [f"skipped: {item.name}: {item.reason}" for item in found.skipped[:_SHOWN]]
         lines += [f"fewer than four usable lights: {name}" for name in found.few_lights[:_SHOWN]]
-        return of_records(records, *lines)
+        return result_of_records(records, *lines)
 
 
 @dataclass(frozen=True)
@@ -94,38 +94,45 @@ class PhotometricStereo:
 
     def run(self) -> Result:
         from sfsnet_dr.data.databases.registry import open_database
-        from sfsnet_dr.experiments.photometric_stereo.captures import read_captures
-        from sfsnet_dr.experiments.photometric_stereo.run import label_records, label_surfaces, lamp_records
-        from sfsnet_dr.experiments.photometric_stereo.uncalibrated import lamp_errors, with_found_lamps
-        from sfsnet_dr.report.console import bar
+        from sfsnet_dr.experiments.photometric_stereo.captures import read_image_sets
+        from sfsnet_dr.experiments.photometric_stereo.run import (
+            compute_normal_labels,
+            label_records,
+            light_records,
+        )
+        from sfsnet_dr.experiments.photometric_stereo.uncalibrated import (
+            calibrate_image_sets,
+            light_direction_errors,
+        )
+        from sfsnet_dr.report.console import progress_bar
         from sfsnet_dr.report.record import write_records
 
         if self.heads and self.lamps_by is None:
             raise InputError("--heads: given without --lamps-by; where the lamps were is read then")
         known = open_database(self.database, self.folder)
-        with bar("reading photographs", len(known.captures())) as advance:
-            read = read_captures(known, advance)
+        with progress_bar("reading photographs", len(known.captures())) as advance:
+            read = read_image_sets(known, advance)
         if self.lamps_by is not None:
-            with bar("finding the lamps", len(read.faces)) as advance:
-                read = with_found_lamps(read, self.lamps_by, self.heads, advance)
-        with bar("photometric stereo", len(read.faces)) as advance:
-            found = label_surfaces(read, self.out, on_capture=advance)
+            with progress_bar("finding the lamps", len(read.faces)) as advance:
+                read = calibrate_image_sets(read, self.lamps_by, self.heads, advance)
+        with progress_bar("photometric stereo", len(read.faces)) as advance:
+            found = compute_normal_labels(read, self.out, on_capture=advance)
         records = label_records(known, found, command_line()) + self._checked()
         if self.lamps_by is not None:
-            errors = lamp_errors(known, read.listing)
-            records += lamp_records(read.listing, errors, command_line())
+            errors = light_direction_errors(known, read.listing)
+            records += light_records(read.listing, errors, command_line())
         write_records(self.out / "records.json", records)
         lines = [f"skipped: {name}: {reason}" for name, reason in list(found.skipped.items())[:_SHOWN]]
-        return of_records(records, *lines, f"labels: {self.out}")
+        return result_of_records(records, *lines, f"labels: {self.out}")
 
     def _checked(self) -> list[Record]:
         if not self.check_faces:
             return []
         from sfsnet_dr.experiments.photometric_stereo.check import check_on_rendered_faces
         from sfsnet_dr.experiments.photometric_stereo.run import check_records
-        from sfsnet_dr.report.console import bar
+        from sfsnet_dr.report.console import progress_bar
 
-        with bar("checking on rendered faces", self.check_faces) as advance:
+        with progress_bar("checking on rendered faces", self.check_faces) as advance:
             errors = check_on_rendered_faces(range(self.check_faces), on_face=advance)
         return check_records(errors, command_line())
 
@@ -173,8 +180,8 @@ class Evaluate:
 
     def run(self) -> Result:
         from sfsnet_dr.core.errors import InputError
-        from sfsnet_dr.experiments.evaluation.collect import KINDS, Amount, collect
-        from sfsnet_dr.experiments.evaluation.methods import Wanted, methods_for
+        from sfsnet_dr.experiments.evaluation.collect import KINDS, Amount, collect_samples
+        from sfsnet_dr.experiments.evaluation.methods import RequestedMethod, methods_for
         from sfsnet_dr.experiments.evaluation.run import evaluate, evaluate_all
 
         kind, *rest = self.data or ("",)
@@ -182,7 +189,7 @@ class Evaluate:
         if not rest and Path(kind).is_dir() and kind not in (*KINDS, "all"):
             kind, folders = "folder", [Path(kind)]
         amount = Amount(self.most, self.quick, self.database)
-        wanted = Wanted(self.methods, self.weights, self.landmarks, self.model_path, self.once)
+        wanted = RequestedMethod(self.methods, self.weights, self.landmarks, self.model_path, self.once)
         if kind == "all":
             if len(folders) != 1:
                 raise InputError(f"all: {len(folders)} folders found, one is needed")
@@ -190,8 +197,8 @@ class Evaluate:
         else:
             if self.faces:
                 raise InputError(f"--faces: is for `all`; give the folders after {kind}")
-            collection = collect(kind, folders, amount)
+            collection = collect_samples(kind, folders, amount)
             methods, left_out = methods_for(collection.shots, wanted, collection.listing)
             records = evaluate(collection, methods, self.out, command_line())
         lines = [f"left out: {name}: {reason}" for name, reason in left_out.items()]
-        return of_records(records, *lines, f"page: {self.out / 'index.html'}")
+        return result_of_records(records, *lines, f"page: {self.out / 'index.html'}")

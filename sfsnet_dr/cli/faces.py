@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from sfsnet_dr.cli.common import Json, Out, Result, command_line, of_records
+from sfsnet_dr.cli.common import Json, Out, Result, command_line, result_of_records
 
 if TYPE_CHECKING:
     from sfsnet_dr.scene.spec import SceneSpec
@@ -48,15 +48,15 @@ class Synth:
     as_json: Json = False
 
     def run(self) -> Result:
-        from sfsnet_dr.report.record import measured
+        from sfsnet_dr.report.record import make_record
 
         begin, rendered = time.perf_counter(), render_faces(self.spec(), self)
         seconds = time.perf_counter() - begin
-        records = [measured("synth.faces", rendered, "faces", command=command_line(), seed=self.seed)]
+        records = [make_record("synth.faces", rendered, "faces", command=command_line(), seed=self.seed)]
         if rendered:
-            each = measured("synth.seconds_per_face", seconds / rendered, "s", command=command_line())
+            each = make_record("synth.seconds_per_face", seconds / rendered, "s", command=command_line())
             records.append(each)
-        return of_records(records, f"written: {self.out}")
+        return result_of_records(records, f"written: {self.out}")
 
     def spec(self) -> SceneSpec:
         """The scene with the options in place of what it says."""
@@ -82,10 +82,12 @@ class Show:
     as_json: Json = False
 
     def run(self) -> Result:
-        from sfsnet_dr.experiments.contact_sheet import show
+        from sfsnet_dr.experiments.contact_sheet import write_contact_sheet
 
-        records = show(self.data, self.out, self.count, command=command_line())
-        return of_records(records, f"page: {self.out / 'index.html'}", f"sheet: {self.out / 'sheet.png'}")
+        records = write_contact_sheet(self.data, self.out, self.count, command=command_line())
+        return result_of_records(
+            records, f"page: {self.out / 'index.html'}", f"sheet: {self.out / 'sheet.png'}"
+        )
 
 
 @dataclass(frozen=True)
@@ -117,16 +119,16 @@ class Relight:
         from sfsnet_dr.experiments.contact_sheet import relight_file
 
         relight_file(self.bundle, self.out, self.env, self.direction, self.exposure, self.photo_seed)
-        return of_records([], f"written: {self.out}")
+        return result_of_records([], f"written: {self.out}")
 
 
 def render_faces(scene: SceneSpec, wanted: Synth) -> int:
     """Render what ``wanted`` asks for under a progress bar; the number of faces rendered now."""
     from sfsnet_dr.data.generate import synthesize
-    from sfsnet_dr.report.console import bar
+    from sfsnet_dr.report.console import progress_bar
 
     rendered = []
-    with bar("rendering faces", wanted.count) as advance:
+    with progress_bar("rendering faces", wanted.count) as advance:
 
         def on_face(seed: int) -> None:
             rendered.append(seed)

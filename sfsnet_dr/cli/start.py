@@ -8,7 +8,7 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from sfsnet_dr.cli.common import Json, Out, Result, of_records
+from sfsnet_dr.cli.common import Json, Out, Result, result_of_records
 
 
 @dataclass(frozen=True)
@@ -23,9 +23,9 @@ class Doctor:
     as_json: Annotated[bool, arg(name="json", help="Print the report as JSON, nothing else.")] = False
 
     def run(self) -> Result:
-        from sfsnet_dr.experiments.doctor import diagnose
+        from sfsnet_dr.experiments.doctor import check_installation
 
-        report = diagnose()
+        report = check_installation()
         return Result(text=report.to_text(), json=report.to_json(), code=0 if report.ok else 1)
 
 
@@ -42,4 +42,4 @@ class Demo:
     def run(self) -> Result:
         from sfsnet_dr.experiments.demo.run import run_demo
 
-        return of_records(run_demo(self.out), f"report: {self.out / 'index.html'}")
+        return result_of_records(run_demo(self.out), f"report: {self.out / 'index.html'}")

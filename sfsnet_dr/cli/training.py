@@ -15,7 +15,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from sfsnet_dr.cli.common import FaceFolders, Json, Out, Result, command_line, of_records
+from sfsnet_dr.cli.common import FaceFolders, Json, Out, Result, command_line, result_of_records
 from sfsnet_dr.cli.faces import Synth, render_faces
 from sfsnet_dr.models.shipped import BEST
 
@@ -59,12 +59,12 @@ class Train:
     as_json: Json = False
 
     def run(self) -> Result:
-        from sfsnet_dr.report.record import dotted, measured
+        from sfsnet_dr.report.record import dotted_word, make_record
         from sfsnet_dr.scene.spec import refuse_light
-        from sfsnet_dr.train.config import lit_by, read_recipe
+        from sfsnet_dr.train.config import read_recipe, with_environments
         from sfsnet_dr.train.trainer import train
 
-        recipe = lit_by(read_recipe(self.recipe), self.environments)
+        recipe = with_environments(read_recipe(self.recipe), self.environments)
         data = self.data or (self.out / "faces",)
         if not self.data:
             wanted = Synth(data[0], self.faces, scene=self.scene, resume=True)
@@ -85,10 +85,12 @@ class Train:
             start=self.start,
         )
         records = [
-            measured(f"train.loss.{dotted(term)}", value, "1", command=command_line(), seed=recipe.seed)
+            make_record(
+                f"train.loss.{dotted_word(term)}", value, "1", command=command_line(), seed=recipe.seed
+            )
             for term, value in result.final.items()
         ]
-        return of_records(records, f"weights: {result.weights}")
+        return result_of_records(records, f"weights: {result.weights}")
 
 
 @dataclass(frozen=True)
@@ -131,20 +133,20 @@ class Decompose:
     def run(self) -> Result:
         from sfsnet_dr.inference.decompose import decompose_files, reconstruction_error
         from sfsnet_dr.inference.photograph import parse_eyes
-        from sfsnet_dr.report.record import dotted, measured
+        from sfsnet_dr.report.record import dotted_word, make_record
 
         eyes = None if self.eyes is None else parse_eyes("--eyes", self.eyes)
         faces = decompose_files(self.images, self.out, self.weights, eyes=eyes, mask=self.mask)
         records = [
-            measured(
-                f"decompose.{dotted(face.name)}.reconstruction.mae_8bit",
+            make_record(
+                f"decompose.{dotted_word(face.name)}.reconstruction.mae_8bit",
                 reconstruction_error(face),
                 "8-bit sRGB",
                 command=command_line(),
             )
             for face in faces
         ]
-        return of_records(records, *(f"written: {self.out / face.name}" for face in faces))
+        return result_of_records(records, *(f"written: {self.out / face.name}" for face in faces))
 
 
 @dataclass(frozen=True)
@@ -171,12 +173,12 @@ class PseudoLabel:
 
     def run(self) -> Result:
         from sfsnet_dr.data.photos import photo_folder
-        from sfsnet_dr.report.console import bar
-        from sfsnet_dr.report.record import measured
+        from sfsnet_dr.report.console import progress_bar
+        from sfsnet_dr.report.record import make_record
         from sfsnet_dr.train.pseudo_label import pseudo_label
 
         source = photo_folder(self.photographs, held_back=self.held_back, most=self.most)
-        with bar("labelling photographs", len(source.train)) as advance:
+        with progress_bar("labelling photographs", len(source.train)) as advance:
 
             def on_shard(count: int) -> None:
                 for _ in range(count):
@@ -189,11 +191,11 @@ class PseudoLabel:
             "held_back": len(told["held_back"]),
         }
         records = [
-            measured(f"pseudo_label.{name}", count, "photographs", command=command_line())
+            make_record(f"pseudo_label.{name}", count, "photographs", command=command_line())
             for name, count in numbers.items()
         ]
         skipped = [f"skipped: {name}: {reason}" for name, reason in list(told["skipped"].items())[:20]]
-        return of_records(records, *skipped, f"written: {self.out}")
+        return result_of_records(records, *skipped, f"written: {self.out}")
 
 
 @dataclass(frozen=True)
@@ -242,7 +244,7 @@ class Stages:
             environments=self.environments,
             surfaces=self.surfaces,
         )
-        return of_records(run_stages(plan, command=command_line()), f"page: {self.out / 'index.html'}")
+        return result_of_records(run_stages(plan, command=command_line()), f"page: {self.out / 'index.html'}")
 
 
 @dataclass(frozen=True)
@@ -291,4 +293,4 @@ class Ablations:
         )
         records = run_ablations(plan, command=command_line())
         lines = [f"left out: {name} {why}" for name, why in plan.left_out.items()]
-        return of_records(records, *lines, f"page: {self.out / 'index.html'}")
+        return result_of_records(records, *lines, f"page: {self.out / 'index.html'}")

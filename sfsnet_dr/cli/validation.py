@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import arg
 
-from sfsnet_dr.cli.common import Json, Out, Result, command_line, of_records
+from sfsnet_dr.cli.common import Json, Out, Result, command_line, result_of_records
 
 
 @dataclass(frozen=True)
@@ -86,11 +86,11 @@ class Validate:
         )
         if self.scene == "all":
             records = validate_all(request, self.out, Console(stderr=True).print)
-            return of_records(records, f"reports: {self.out / 'SCENE' / 'index.html'}")
+            return result_of_records(records, f"reports: {self.out / 'SCENE' / 'index.html'}")
         records, sentence = validate(request, self.out)
         brief = [record for record in records if record.what.endswith(".rel_rmse")]
-        shown = of_records(brief, f"report: {self.out / 'index.html'}", sentence)
-        return Result(text=shown.text, json=of_records(records).json)
+        shown = result_of_records(brief, f"report: {self.out / 'index.html'}", sentence)
+        return Result(text=shown.text, json=result_of_records(records).json)
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ class WorstLight:
             seed=self.seed,
             command=command_line(),
         )
-        return of_records(records, f"report: {self.out / 'index.html'}")
+        return result_of_records(records, f"report: {self.out / 'index.html'}")
 
 
 @dataclass(frozen=True)
@@ -196,10 +196,10 @@ class Stability:
     as_json: Json = False
 
     def run(self) -> Result:
-        from sfsnet_dr.experiments.stability.run import stability
+        from sfsnet_dr.experiments.stability.run import run_stability
 
-        study, records = stability(self.out, self.only, command=command_line())
+        study, records = run_stability(self.out, self.only, command=command_line())
         failures = study.failures()
         lines = [f"FAILED {line}" for line in failures]
-        result = of_records(records, *lines, f"report: {self.out / 'index.html'}")
+        result = result_of_records(records, *lines, f"report: {self.out / 'index.html'}")
         return replace(result, code=1 if failures else 0)

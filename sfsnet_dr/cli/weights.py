@@ -11,7 +11,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from sfsnet_dr.cli.common import Json, Out, Result, command_line, of_records
+from sfsnet_dr.cli.common import Json, Out, Result, command_line, result_of_records
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class WeightsList:
         from sfsnet_dr.models.shipped import FOLDER, SHIPPED
 
         records = [record for name in SHIPPED for record in card_records(name)]
-        return of_records(records, f"cards: {FOLDER}/NAME.md for {', '.join(SHIPPED)}")
+        return result_of_records(records, f"cards: {FOLDER}/NAME.md for {', '.join(SHIPPED)}")
 
 
 @dataclass(frozen=True)
@@ -53,19 +53,24 @@ class WeightsCheck:
     as_json: Json = False
 
     def run(self) -> Result:
-        from sfsnet_dr.experiments.pipeline.model_card import FACES, card_records, compare, measure_shipped
+        from sfsnet_dr.experiments.pipeline.model_card import (
+            FACES,
+            card_records,
+            compare_with_card,
+            measure_shipped,
+        )
         from sfsnet_dr.models.shipped import SHIPPED
-        from sfsnet_dr.report.console import bar
+        from sfsnet_dr.report.console import progress_bar
         from sfsnet_dr.report.record import to_json, write_records
 
         names = self.names or tuple(Path(name) for name in SHIPPED)
-        with bar("rendering faces", FACES) as advance:
+        with progress_bar("rendering faces", FACES) as advance:
             records = measure_shipped(
                 names, self.out, command_line(), photographs=self.photographs, on_face=lambda _: advance()
             )
         write_records(self.out / "records.json", records)
         card = [record for name in names if str(name) in SHIPPED for record in card_records(str(name))]
-        compared = compare(records, card)
+        compared = compare_with_card(records, card)
         return Result(
             text="\n".join(map(str, compared)),
             json=to_json(records),
@@ -86,7 +91,7 @@ class WeightsPack:
 
     def run(self) -> Result:
         from sfsnet_dr.models.weights import load_weights, read_metadata, save_weights
-        from sfsnet_dr.report.record import measured
+        from sfsnet_dr.report.record import make_record
 
         metadata = read_metadata(self.weights)
         light = metadata.get("recipe", {}).get("data", {}).get("light", {})
@@ -94,8 +99,8 @@ class WeightsPack:
             if light.get(key):
                 light[key] = Path(light[key]).name
         save_weights(self.out, load_weights(self.weights), metadata, eight_bit=True)
-        size = measured("weights.bytes", self.out.stat().st_size, "B", command=command_line())
-        return of_records([size], f"written: {self.out}")
+        size = make_record("weights.bytes", self.out.stat().st_size, "B", command=command_line())
+        return result_of_records([size], f"written: {self.out}")
 
 
 @dataclass(frozen=True)
@@ -120,18 +125,18 @@ class WeightsMean:
         from sfsnet_dr.core.provenance import sha256
         from sfsnet_dr.models.shipped import weights_path
         from sfsnet_dr.models.weights import read_metadata, save_weights
-        from sfsnet_dr.report.record import measured
-        from sfsnet_dr.train.averaging import mean_weights
+        from sfsnet_dr.report.record import make_record
+        from sfsnet_dr.train.averaging import average_weights
 
-        model = mean_weights(self.weights, self.shares)
+        model = average_weights(self.weights, self.shares)
         shares = self.shares or (1.0,) * len(self.weights)
         parts = [
             {"sha256": sha256(weights_path(path)), "share": share}
             for path, share in zip(self.weights, shares, strict=True)
         ]
         save_weights(self.out, model, read_metadata(self.weights[-1]) | {"mean_of": parts})
-        size = measured("weights.bytes", self.out.stat().st_size, "B", command=command_line())
-        return of_records([size], f"written: {self.out}")
+        size = make_record("weights.bytes", self.out.stat().st_size, "B", command=command_line())
+        return result_of_records([size], f"written: {self.out}")
 
 
 @dataclass(frozen=True)
@@ -162,18 +167,18 @@ class FitLights:
     def run(self) -> Result:
         from sfsnet_dr.data.photos import list_photos
         from sfsnet_dr.experiments.light_prior import FitLightsOptions, fit_lights
-        from sfsnet_dr.report.console import bar
-        from sfsnet_dr.report.record import measured
+        from sfsnet_dr.report.console import progress_bar
+        from sfsnet_dr.report.record import make_record
         from sfsnet_dr.scene.faces.linear_model import load_face_modes
 
         options = FitLightsOptions(self.most, self.components, self.draws, self.seed)
         total = len(list_photos(self.photographs)[0])
         model = load_face_modes(self.model_path)
-        with bar("fitting photographs", min(total, self.most or total)) as advance:
+        with progress_bar("fitting photographs", min(total, self.most or total)) as advance:
             told = fit_lights(self.photographs, model, self.out, options, on_photo=advance)
         records = [
-            measured(f"fit_lights.{name}", value, unit, command=command_line(), seed=self.seed)
+            make_record(f"fit_lights.{name}", value, unit, command=command_line(), seed=self.seed)
             for name, (value, unit) in told.numbers.items()
         ]
         skipped = [f"skipped: {name}: {reason}" for name, reason in list(told.skipped.items())[:20]]
-        return of_records(records, *skipped, f"written: {self.out}")
+        return result_of_records(records, *skipped, f"written: {self.out}")

@@ -33,7 +33,7 @@ def load_toml(cls: type[T], path: Path | str) -> T:
             type, or files that extend each other in a circle; it names the file and the key, what was found
             and what is allowed.
     """
-    return build(cls, read_toml(path), str(path))
+    return build_dataclass(cls, read_toml(path), str(path))
 
 
 def read_toml(path: Path | str) -> dict[str, Any]:
@@ -82,7 +82,7 @@ def _parse_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: is not valid TOML ({error})") from error
 
 
-def build(cls: type[T], table: dict[str, Any], where: str) -> T:
+def build_dataclass(cls: type[T], table: dict[str, Any], where: str) -> T:
     """Build a dataclass from a table; ``where`` prefixes the messages."""
     hints = typing.get_type_hints(cls)
     fields = {field.name: field for field in dataclasses.fields(cls)}  # type: ignore[arg-type]
@@ -99,7 +99,7 @@ def build(cls: type[T], table: dict[str, Any], where: str) -> T:
     return cls(**values)
 
 
-def changed(spec: T, table: Mapping[str, Any], where: str) -> T:
+def with_changes(spec: T, table: Mapping[str, Any], where: str) -> T:
     """A dataclass with some values of a table in place of its own; tables within it change nested ones.
 
     Raises:
@@ -112,7 +112,7 @@ def changed(spec: T, table: Mapping[str, Any], where: str) -> T:
     for key, value in table.items():
         held = getattr(spec, key)
         if dataclasses.is_dataclass(held) and isinstance(value, dict):
-            values[key] = changed(held, value, f"{where}: {key}")
+            values[key] = with_changes(held, value, f"{where}: {key}")
         else:
             values[key] = _convert(hints[key], value, f"{where}: {key}")
     try:
@@ -131,7 +131,7 @@ def _check_keys(cls: type[Any], table: Mapping[str, Any], where: str) -> None:
             raise InputError(f"{where}: unknown key {key!r}; {nearest(key, known)}")
 
 
-def added(default: Any) -> Any:
+def added_field(default: Any) -> Any:
     """A field that came after data sets had been made: at its default it is left out of ``as_dict``.
 
     So specs that do not use it keep the hash that they had, and data sets made before are gone on with.
@@ -165,7 +165,7 @@ def _convert(hint: Any, value: Any, where: str) -> Any:
     if dataclasses.is_dataclass(hint):
         if not isinstance(value, dict):
             raise InputError(f"{where}: {value!r} found, a table is needed")
-        return build(typing.cast(type[Any], hint), value, where)
+        return build_dataclass(typing.cast(type[Any], hint), value, where)
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if origin in (types.UnionType, typing.Union):
         return _convert(next(a for a in arguments if a is not type(None)), value, where)

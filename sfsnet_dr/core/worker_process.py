@@ -20,7 +20,7 @@ from typing import IO, Any, Literal
 Answer = dict[str, Any]
 
 
-class ChildFailed(Exception):
+class WorkerFailed(Exception):
     """The process gave no answer.
 
     Attributes:
@@ -32,7 +32,7 @@ class ChildFailed(Exception):
         self.how = how
 
 
-class Child:
+class WorkerProcess:
     """A process that is asked one question at a time; it ends with this object, or when it fails.
 
     Args:
@@ -96,16 +96,16 @@ class Child:
         assert self._process.stdout is not None
         ready, _, _ = select.select([self._process.stdout], [], [], max(0.0, deadline - time.monotonic()))
         if not ready:
-            raise ChildFailed("hung", f"no answer within {time_limit:g} s; the process was ended")
+            raise WorkerFailed("hung", f"no answer within {time_limit:g} s; the process was ended")
         part = os.read(self._process.stdout.fileno(), 1 << 16)
         if not part:
             raise self._died()
         return part
 
-    def _died(self) -> ChildFailed:
+    def _died(self) -> WorkerFailed:
         code = self._process.wait()
         self._said.seek(0)
-        return ChildFailed("died", end_reason(code, self._said.read().decode(errors="replace")))
+        return WorkerFailed("died", end_reason(code, self._said.read().decode(errors="replace")))
 
 
 def serve(answer: Callable[[Answer], Answer]) -> None:

@@ -37,7 +37,7 @@ def to_canonical(image: NDArray[np.floating], eyes: Eyes) -> NDArray[np.float32]
     A similarity transform (shift, rotation, one scale). Each canonical pixel is the mean of the photograph
     over its square, sampled at least once a photograph pixel, so that nothing aliases when the face is
     large; small faces are interpolated bilinearly. Beyond the photograph it is black, as in
-    training (``photo_effects.PhotoOptions.cropped``); see ``inside``.
+    training (``photo_effects.PhotoOptions.cropped``); see ``canonical_coverage``.
 
     Args:
         image: linear (H, W, 3). Averaging encoded values would darken edges.
@@ -50,18 +50,18 @@ def to_canonical(image: NDArray[np.floating], eyes: Eyes) -> NDArray[np.float32]
         InputError: for another shape, or eyes outside the picture, out of order or less than 4 pixels apart.
     """
     check_shape("image", image, "H W 3")
-    return resampled(image, eyes)
+    return resample_to_canonical(image, eyes)
 
 
-def resampled(image: NDArray[np.floating], eyes: Eyes) -> NDArray[np.float32]:
+def resample_to_canonical(image: NDArray[np.floating], eyes: Eyes) -> NDArray[np.float32]:
     """``to_canonical`` for any number of channels: (H, W, C) to (128, 128, C)."""
     sizes = check_shape("image", image, "H W C")
     _check_eyes(eyes, sizes["W"], sizes["H"])
     whole: NDArray[np.float32] = _resample(np.asarray(image, np.float32), eyes, "nearest")
-    return whole * inside(sizes["H"], sizes["W"], eyes)[..., None]
+    return whole * canonical_coverage(sizes["H"], sizes["W"], eyes)[..., None]
 
 
-def inside(height: int, width: int, eyes: Eyes) -> NDArray[np.float32]:
+def canonical_coverage(height: int, width: int, eyes: Eyes) -> NDArray[np.float32]:
     """Share of each canonical pixel that a photograph of this size covers, (128, 128) in [0, 1]."""
     _check_eyes(eyes, width, height)
     x, y = _to_photograph(eyes, [0, 0, FACE_SIZE, FACE_SIZE], [0, FACE_SIZE, 0, FACE_SIZE])

@@ -12,7 +12,7 @@ from sfsnet_dr.core.conventions import LIGHT_SIZE
 from sfsnet_dr.core.errors import InputError, check_shape
 
 
-def dealt(count: int, rank: int, size: int) -> slice:
+def shard(count: int, rank: int, size: int) -> slice:
     """What process ``rank`` of ``size`` has of ``count`` images.
 
     Raises:
@@ -60,7 +60,7 @@ class FaceBatch(NamedTuple):
         return self
 
 
-def in_turn(seed: int, stream: int, count: int, step: int, batch_size: int) -> list[int]:
+def epoch_indices(seed: int, stream: int, count: int, step: int, batch_size: int) -> list[int]:
     """Which of ``count`` images are in a batch: stretches of one random permutation an epoch."""
     places = range(step * batch_size, (step + 1) * batch_size)
     epochs = {place // count for place in places}

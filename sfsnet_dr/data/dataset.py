@@ -16,16 +16,16 @@ from torch import Tensor
 from sfsnet_dr.core.color import LUMINANCE
 from sfsnet_dr.core.conventions import FACE_SIZE, LIGHT_ORDER
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.data.batch import FaceBatch, dealt, in_turn
+from sfsnet_dr.data.batch import FaceBatch, epoch_indices, shard
 from sfsnet_dr.data.bundle import Bundle, read_bundle
 from sfsnet_dr.data.manifest import NAME, Entry, Manifest
-from sfsnet_dr.data.transforms.background import Augmentation, backgrounds
-from sfsnet_dr.data.transforms.camera import PhotoEffects, frames, photograph, sample_effects
-from sfsnet_dr.data.transforms.crop import View
-from sfsnet_dr.data.transforms.flip import flip_map, flip_normal, x_parity
+from sfsnet_dr.data.transforms.background import Augmentation, render_backgrounds
+from sfsnet_dr.data.transforms.camera import PhotoEffects, frame_masks, sample_effects, simulate_photograph
+from sfsnet_dr.data.transforms.crop import Crop
+from sfsnet_dr.data.transforms.mirror import mirror_map, mirror_normal, x_parity
 from sfsnet_dr.render.transport_shading import relight_batch
 from sfsnet_dr.scene.lights.batch import Lighting, light_faces
-from sfsnet_dr.scene.lights.cache import LightBank, draw_bank
+from sfsnet_dr.scene.lights.cache import LightCache, draw_lights
 from sfsnet_dr.scene.lights.light import MAP_ORDER
 from sfsnet_dr.sh.basis import sh_basis
 from sfsnet_dr.sh.kernel import order_of
@@ -76,7 +76,7 @@ Folders = Path | str | Sequence[Path | str]
 
 
 def load_faces(
-    folders: Folders, view: View | None = None, *, held_back: int = 0, held: bool = False
+    folders: Folders, view: Crop | None = None, *, held_back: int = 0, held: bool = False
 ) -> Faces:
     """Read every bundle that the folders' manifests list, folder by folder in the order of their seeds.
 
@@ -102,7 +102,7 @@ def load_faces(
         ...
         sfsnet_dr.core.errors.InputError: no-such-folder: ...
     """
-    bundles = listed(folders)
+    bundles = list_bundles(folders)
     ranks = sorted(entry.sha256 for _, entry in bundles)
     if not 0 <= held_back < max(1, len(ranks) / 2):
         raise InputError(
@@ -128,7 +128,7 @@ def load_faces(
     return Faces(**planes, directions=np.stack(directions), names=tuple(names), fingerprint=digest)
 
 
-def listed(folders: Folders) -> list[tuple[Path, Entry]]:
+def list_bundles(folders: Folders) -> list[tuple[Path, Entry]]:
     """The bundles of all folders with their files, folder by folder in the order of their seeds.
 
     Raises:
@@ -143,7 +143,7 @@ def listed(folders: Folders) -> list[tuple[Path, Entry]]:
     return found
 
 
-def _label(view: View | None) -> str:
+def _label(view: Crop | None) -> str:
     """A view in a fingerprint: the size alone where the whole frame is shown."""
     return "None" if view is None else f"{view.size}" + (f" of {view.crop}" if view.crop < FACE_SIZE else "")
 
@@ -154,7 +154,7 @@ def _difference(found: Tensor, expected: Tensor) -> str:
     return f"{len(found)} responses found, {len(expected)}"
 
 
-def _tensors(path: Path, bundle: Bundle, view: View | None) -> dict[str, Tensor]:
+def _tensors(path: Path, bundle: Bundle, view: Crop | None) -> dict[str, Tensor]:
     if order_of(len(bundle.transport)) < LIGHT_ORDER:
         raise InputError(f"{path}: {len(bundle.transport)} transport coefficients found, 9 are needed")
     if not bundle.mask.any():
@@ -171,7 +171,7 @@ def _tensors(path: Path, bundle: Bundle, view: View | None) -> dict[str, Tensor]
     tensors = {name: torch.from_numpy(np.ascontiguousarray(a)) for name, a in arrays.items()}
     if view is not None:
         try:
-            tensors = {name: view.shown(tensor) for name, tensor in tensors.items()}
+            tensors = {name: view.apply(tensor) for name, tensor in tensors.items()}
         except InputError as error:
             raise InputError(f"{path}: {error}; see data.size and data.crop") from error
     return {name: tensor.half() for name, tensor in tensors.items()}
@@ -197,13 +197,13 @@ class RelitFaces:
         batch_size: int,
         augmentation: Augmentation,
         seed: int,
-        bank: LightBank | None = None,
+        bank: LightCache | None = None,
     ) -> None:
         self.faces = faces
         self.batch_size = batch_size
         self.augmentation = augmentation
         self.seed = seed
-        self.bank = bank or draw_bank(augmentation.light, augmentation.lights, seed)
+        self.bank = bank or draw_lights(augmentation.light, augmentation.lights, seed)
 
     @property
     def fingerprint(self) -> str:
@@ -212,7 +212,7 @@ class RelitFaces:
 
     def indices(self, step: int) -> list[int]:
         """Faces of a batch."""
-        return in_turn(self.seed, 0, len(self.faces), step, self.batch_size)
+        return epoch_indices(self.seed, 0, len(self.faces), step, self.batch_size)
 
     def names(self, step: int) -> list[str]:
         """Faces of a batch."""
@@ -220,7 +220,7 @@ class RelitFaces:
 
     def batch(self, step: int, rank: int = 0, size: int = 1) -> FaceBatch:
         """Batch number ``step``, or part ``rank`` of ``size``, relit and photographed on the device."""
-        part = dealt(self.batch_size, rank, size)
+        part = shard(self.batch_size, rank, size)
         rng = np.random.default_rng([self.seed, 1, step])
         faces, chosen = self.faces, self.indices(step)
         flips = rng.uniform(size=len(chosen)) < self.augmentation.flip
@@ -229,7 +229,7 @@ class RelitFaces:
         effects = [sample_effects(rng, self.augmentation.photo) for _ in chosen]
         place = np.maximum(np.einsum("k,bkc->bc", sh_basis(_BEHIND, MAP_ORDER), lighting.radiance), 0.0)
         pixels = (faces.normal.shape[-2], faces.normal.shape[-1])
-        behind = backgrounds(rng, lighting.level, place, pixels, faces.normal.device)[part]
+        behind = render_backgrounds(rng, lighting.level, place, pixels, faces.normal.device)[part]
         # All is drawn for the whole batch, so that an image does not depend on who makes it.
         flips, lighting, effects = flips[part], lighting.part(part), effects[part]
         rows = torch.tensor(chosen[part], device=faces.normal.device)
@@ -240,11 +240,11 @@ class RelitFaces:
         image = self._relit(rows, lighting, flips)
         mirrored = torch.from_numpy(flips).to(image.device)
         image, albedo, mask, coverage = (
-            _reflected(planes, mirrored, flip_map) for planes in (image, albedo, mask, coverage)
+            _reflected(planes, mirrored, mirror_map) for planes in (image, albedo, mask, coverage)
         )
-        normal = _renormalised(_reflected(normal, mirrored, flip_normal))
-        image = photograph(image, coverage, behind, effects)
-        mask = mask * frames(effects, *pixels).to(mask.device)
+        normal = _renormalised(_reflected(normal, mirrored, mirror_normal))
+        image = simulate_photograph(image, coverage, behind, effects)
+        mask = mask * frame_masks(effects, *pixels).to(mask.device)
         albedo, light = _as_seen(albedo, lighting.label, effects)
         return FaceBatch(image, normal, albedo, light.to(image.device), mask)
 

@@ -24,7 +24,7 @@ from sfsnet_dr.core.errors import InputError, RunError
 from sfsnet_dr.core.files import atomic_path, output_dir
 from sfsnet_dr.data.bundle import Bundle, BundleMeta, read_bundle, write_bundle
 from sfsnet_dr.data.manifest import NAME, Entry, Manifest
-from sfsnet_dr.data.parallel import choose
+from sfsnet_dr.data.parallel import choose_workers
 from sfsnet_dr.scene.lights.equirect import MAP_SIZE
 from sfsnet_dr.scene.lights.light import MAP_ORDER, Light
 from sfsnet_dr.scene.lights.sampling import sample_direction, sample_scene_light
@@ -99,7 +99,7 @@ def synthesize(
         raise InputError(
             f"{spec.name}: shape {spec.shape!r} found, a dataset needs one of {', '.join(FACE_SHAPES)}"
         )
-    crew, dataset = choose(workers, count, ray), identity(spec)
+    crew, dataset = choose_workers(workers, count, ray), dataset_identity(spec)
     folder, made = Path(out), not Path(out).exists()
     output_dir(folder)
     try:
@@ -118,7 +118,7 @@ def synthesize(
     return manifest
 
 
-def identity(spec: SceneSpec) -> SceneSpec:
+def dataset_identity(spec: SceneSpec) -> SceneSpec:
     """The spec that a dataset is known by: a hash of the face model in place of the path to it.
 
     Raises:
@@ -126,9 +126,9 @@ def identity(spec: SceneSpec) -> SceneSpec:
     """
     if spec.model_path is None and spec.shape == "anny":
         return spec
-    from sfsnet_dr.scene.faces.registry import load_model
+    from sfsnet_dr.scene.faces.registry import load_face_model
 
-    return replace(spec, model_path=load_model(spec).digest)
+    return replace(spec, model_path=load_face_model(spec).digest)
 
 
 def face_file(seed: int) -> str:
@@ -164,7 +164,7 @@ def render_bundle(spec: SceneSpec, seed: int) -> Bundle:
     from sfsnet_dr.scene.faces.face import sample_face
     from sfsnet_dr.scene.scene_cache import SceneCache
 
-    dataset, face, sampling = identity(spec), sample_face(seed, spec), spec.sampling
+    dataset, face, sampling = dataset_identity(spec), sample_face(seed, spec), spec.sampling
     camera = face.pose.camera(spec.camera)
     global _scenes
     _scenes = _scenes or SceneCache()

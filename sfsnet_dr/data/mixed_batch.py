@@ -20,10 +20,10 @@ import torch
 from torch import Tensor
 
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.data.batch import FaceBatch, dealt, in_turn
+from sfsnet_dr.data.batch import FaceBatch, epoch_indices, shard
 from sfsnet_dr.data.dataset import RelitFaces
-from sfsnet_dr.data.pseudo_labels import Labels, PseudoFaces, Values, as_network_input, decoded
-from sfsnet_dr.data.transforms.flip import flip_light, flip_map, flip_normal
+from sfsnet_dr.data.pseudo_labels import Labels, PseudoFaces, Values, as_network_input, decode_labels
+from sfsnet_dr.data.transforms.mirror import mirror_light, mirror_map, mirror_normal
 
 
 class RealBatch(NamedTuple):
@@ -66,7 +66,7 @@ class RealSource(Protocol):
         """Batch number ``step``, or part ``rank`` of ``size``."""
 
 
-class RealTogether:
+class ConcatSource:
     """Batches with some images of each source, in the order of the sources.
 
     Raises:
@@ -103,7 +103,7 @@ class RealTogether:
 
 
 @dataclass(frozen=True)
-class RealOptions:
+class PseudoLabelOptions:
     """How photographs take part in training.
 
     Attributes:
@@ -128,11 +128,11 @@ class RealOptions:
                 raise InputError(f"real.{name}: {value:g} found, 0 to {largest:g} allowed")
 
     def count(self, batch_size: int) -> int:
-        """Photographs in a mini-batch; see ``count_of``."""
-        return count_of("real.share", self.share, batch_size)
+        """Photographs in a mini-batch; see ``count_real_images``."""
+        return count_real_images("real.share", self.share, batch_size)
 
 
-def count_of(name: str, share: float, batch_size: int) -> int:
+def count_real_images(name: str, share: float, batch_size: int) -> int:
     """Images that a share of a mini-batch is.
 
     Raises:
@@ -169,7 +169,7 @@ class RealFaces:
         InputError: if the labels were made with another meaning of a photograph's numbers.
     """
 
-    def __init__(self, faces: PseudoFaces, batch_size: int, options: RealOptions, seed: int) -> None:
+    def __init__(self, faces: PseudoFaces, batch_size: int, options: PseudoLabelOptions, seed: int) -> None:
         found = faces.spec.get("values")
         if found != options.values:
             raise InputError(
@@ -179,7 +179,7 @@ class RealFaces:
 
     def indices(self, step: int) -> list[int]:
         """Photographs of a batch."""
-        return in_turn(self.seed, 10, len(self.faces), step, self.batch_size)
+        return epoch_indices(self.seed, 10, len(self.faces), step, self.batch_size)
 
     @property
     def fingerprint(self) -> str:
@@ -198,21 +198,21 @@ class RealFaces:
 
     def batch(self, step: int, rank: int = 0, size: int = 1) -> RealBatch:
         """Batch number ``step``, or part ``rank`` of ``size``; light is trusted as the rest of a face is."""
-        part = dealt(self.batch_size, rank, size)
+        part = shard(self.batch_size, rank, size)
         rng = np.random.default_rng([self.seed, 11, step])
         device, count = self.faces.labels.image.device, self.batch_size
         rows = torch.tensor(self.indices(step)[part], device=device)
         picked = Labels(*(planes.index_select(0, rows) for planes in self.faces.labels))
-        shown = decoded(picked)
+        shown = decode_labels(picked)
         flips = torch.from_numpy(rng.uniform(size=count) < self.options.flip)[part].to(device)
         stops = torch.from_numpy(rng.uniform(-self.options.darker, 0, count)).float()[part].to(device)
         gain = 2.0**stops
         image = as_network_input(picked.image, self.options.values) * gain[:, None, None, None]
         maps = (image, shown.albedo, shown.mask, shown.confidence)
         turned = flips[:, None, None, None]
-        image, albedo, mask, confidence = (torch.where(turned, flip_map(planes), planes) for planes in maps)
-        normal = torch.where(turned, flip_normal(shown.normal), shown.normal)
-        light = torch.where(flips[:, None], flip_light(shown.light), shown.light) * gain[:, None]
+        image, albedo, mask, confidence = (torch.where(turned, mirror_map(planes), planes) for planes in maps)
+        normal = torch.where(turned, mirror_normal(shown.normal), shown.normal)
+        light = torch.where(flips[:, None], mirror_light(shown.light), shown.light) * gain[:, None]
         faces = FaceBatch(image, normal, albedo, light, mask)
         trust = (mask * confidence).sum((1, 2, 3)) / mask.sum((1, 2, 3)).clamp_min(1)
         return RealBatch(faces, confidence, torch.zeros_like(trust, dtype=torch.bool), trust)

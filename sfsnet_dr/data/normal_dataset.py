@@ -21,15 +21,15 @@ import numpy as np
 import torch
 from torch.nn import functional
 
-from sfsnet_dr.core.config import added
+from sfsnet_dr.core.config import added_field
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.data.batch import FaceBatch, dealt, in_turn
-from sfsnet_dr.data.mixed_batch import RealBatch, count_of
-from sfsnet_dr.data.normal_labels import SurfaceLabels, light_labels, load_surfaces, read_index
+from sfsnet_dr.data.batch import FaceBatch, epoch_indices, shard
+from sfsnet_dr.data.mixed_batch import RealBatch, count_real_images
+from sfsnet_dr.data.normal_labels import NormalLabels, light_labels, load_normal_labels, read_index
 from sfsnet_dr.data.transforms.affine import InPlane
 from sfsnet_dr.data.transforms.camera import metering_gain
-from sfsnet_dr.data.transforms.crop import View
-from sfsnet_dr.data.transforms.flip import flip_light, flip_map, flip_normal
+from sfsnet_dr.data.transforms.crop import Crop
+from sfsnet_dr.data.transforms.mirror import mirror_light, mirror_map, mirror_normal
 
 #: Mean albedo over the face of usual skin: the median of 200 rendered faces, which are evenly spread over the
 #: individual typology angle; their 5th and 95th percentiles are .06 and .34.
@@ -37,7 +37,7 @@ USUAL_ALBEDO: Final = 0.175
 
 
 @dataclass(frozen=True)
-class SurfaceOptions:
+class NormalLabelOptions:
     """How faces with labels by photometric stereo take part in training.
 
     Attributes:
@@ -60,9 +60,9 @@ class SurfaceOptions:
     exposure: float = 0.5
     folds: int = 4
     fold: int = 0
-    roll: float = added(0.0)
-    scale: float = added(0.0)
-    shift: float = added(0.0)
+    roll: float = added_field(0.0)
+    scale: float = added_field(0.0)
+    shift: float = added_field(0.0)
 
     def __post_init__(self) -> None:
         ranges: dict[str, tuple[float, float]] = {
@@ -90,7 +90,7 @@ class SurfaceOptions:
 
     def count(self, batch_size: int) -> int:
         """Images in a mini-batch; see ``data.mixture.count_of``."""
-        return count_of("surfaces.share", self.share, batch_size)
+        return count_real_images("surfaces.share", self.share, batch_size)
 
 
 def fold_of(subject: str, folds: int) -> int:
@@ -104,7 +104,7 @@ class IdentitySplit:
 
     Attributes:
         database: whose names these are.
-        folds, fold: see ``SurfaceOptions``.
+        folds, fold: see ``NormalLabelOptions``.
         learnt: subjects trained on.
         held_back: subjects whose labels training never sees.
         lamps_by: the network that helped to find where the lamps were; empty where the database told it, and
@@ -142,7 +142,7 @@ def read_split(metadata: dict[str, Any]) -> IdentitySplit | None:
     )
 
 
-def split_subjects(subjects: Iterable[str], options: SurfaceOptions, database: str) -> IdentitySplit:
+def split_subjects(subjects: Iterable[str], options: NormalLabelOptions, database: str) -> IdentitySplit:
     """Deal subjects to training and measuring.
 
     Raises:
@@ -164,22 +164,22 @@ def split_subjects(subjects: Iterable[str], options: SurfaceOptions, database: s
     return IdentitySplit(database, options.folds, options.fold, learnt, tuple(held))
 
 
-def load_learnt(
-    folder: Path | str, options: SurfaceOptions, view: View | None = None
-) -> tuple[list[SurfaceLabels], IdentitySplit]:
+def load_training_subjects(
+    folder: Path | str, options: NormalLabelOptions, view: Crop | None = None
+) -> tuple[list[NormalLabels], IdentitySplit]:
     """The captures to learn from, as a view shows them, and who they and the others are.
 
     Raises:
-        InputError: for unusable labels, see ``load_surfaces``, or subjects that cannot be split.
+        InputError: for unusable labels, see ``load_normal_labels``, or subjects that cannot be split.
     """
-    faces = load_surfaces(folder)
+    faces = load_normal_labels(folder)
     index = read_index(folder)
     split = split_subjects([face.subject for face in faces], options, index["database"])
     split = replace(split, lamps_by=index.get("lamps_by", ""))
     return [_shown(face, view) for face in faces if face.subject in split.learnt], split
 
 
-class SurfaceFaces:
+class NormalLabelFaces:
     """Batches of pictures under known lights; batch k depends on the seed and k alone.
 
     Args:
@@ -195,9 +195,9 @@ class SurfaceFaces:
 
     def __init__(
         self,
-        faces: Sequence[SurfaceLabels],
+        faces: Sequence[NormalLabels],
         batch_size: int,
-        options: SurfaceOptions,
+        options: NormalLabelOptions,
         seed: int,
         device: torch.device | str = "cpu",
     ) -> None:
@@ -237,7 +237,7 @@ class SurfaceFaces:
 
     def indices(self, step: int) -> list[int]:
         """Pictures of a batch."""
-        return in_turn(self.seed, 12, len(self), step, self.batch_size)
+        return epoch_indices(self.seed, 12, len(self), step, self.batch_size)
 
     def names(self, step: int) -> list[str]:
         """Captures and lights of a batch."""
@@ -245,7 +245,7 @@ class SurfaceFaces:
 
     def batch(self, step: int, rank: int = 0, size: int = 1) -> RealBatch:
         """Batch number ``step``, or part ``rank`` of ``size``."""
-        part, count = dealt(self.batch_size, rank, size), self.batch_size
+        part, count = shard(self.batch_size, rank, size), self.batch_size
         rng = np.random.default_rng([self.seed, 13, step])
         device = self._image.device
         rows = torch.tensor(self.indices(step)[part], device=device)
@@ -259,10 +259,10 @@ class SurfaceFaces:
         image = (image * gain[:, None, None, None]).clamp(0, 1)
         turned = flips[:, None, None, None]
         image, albedo, mask, confidence = (
-            torch.where(turned, flip_map(planes), planes) for planes in (image, albedo, mask, confidence)
+            torch.where(turned, mirror_map(planes), planes) for planes in (image, albedo, mask, confidence)
         )
-        normal = torch.where(turned, flip_normal(self._normal[owner]), self._normal[owner])
-        light = torch.where(flips[:, None], flip_light(self._light[rows]), self._light[rows])
+        normal = torch.where(turned, mirror_normal(self._normal[owner]), self._normal[owner])
+        light = torch.where(flips[:, None], mirror_light(self._light[rows]), self._light[rows])
         if moves is not None:
             move = moves.part(part, device)
             image, albedo, confidence = (move.map(planes) for planes in (image, albedo, confidence))
@@ -271,17 +271,17 @@ class SurfaceFaces:
         return RealBatch(faces, confidence, torch.ones_like(flips), torch.ones_like(gain))
 
 
-def _mean_albedo(face: SurfaceLabels) -> float:
+def _mean_albedo(face: NormalLabels) -> float:
     weight = face.mask * face.confidence
     return float((weight * face.albedo).sum() / (len(face.albedo) * weight.sum()).clamp_min(1e-6))
 
 
-def _shown(face: SurfaceLabels, view: View | None) -> SurfaceLabels:
-    if view is None or view == View(face.normal.shape[-1]):
+def _shown(face: NormalLabels, view: Crop | None) -> NormalLabels:
+    if view is None or view == Crop(face.normal.shape[-1]):
         return face
     try:
         planes: dict[str, Any] = {
-            name: view.shown(getattr(face, name))
+            name: view.apply(getattr(face, name))
             for name in ("image", "normal", "albedo", "mask", "confidence", "residual")
         }
     except InputError as error:

@@ -35,9 +35,9 @@ from sfsnet_dr.core.errors import InputError, check_shape
 from sfsnet_dr.core.files import atomic_path, write_text
 from sfsnet_dr.core.provenance import sha256
 from sfsnet_dr.data.bundle import read_bundle
-from sfsnet_dr.data.dataset import Folders, listed
-from sfsnet_dr.data.transforms.crop import View
-from sfsnet_dr.data.transforms.flip import flip_normal
+from sfsnet_dr.data.dataset import Folders, list_bundles
+from sfsnet_dr.data.transforms.crop import Crop
+from sfsnet_dr.data.transforms.mirror import mirror_normal
 from sfsnet_dr.sh.projection import project_directional
 
 FORMAT: Final = "sfsnet_dr.surfaces.1"
@@ -45,7 +45,7 @@ INDEX: Final = "surfaces.json"
 
 
 @dataclass(frozen=True, eq=False)
-class SurfaceLabels:
+class NormalLabels:
     """One capture; shapes and meaning as in this file's head, float32.
 
     Attributes:
@@ -90,7 +90,7 @@ def light_labels(direction: npt.ArrayLike, gain: npt.ArrayLike) -> npt.NDArray[n
     return np.array(labels).reshape(-1, LIGHT_SIZE)
 
 
-def write_surface(folder: Path, labels: SurfaceLabels) -> str:
+def write_normal_labels(folder: Path, labels: NormalLabels) -> str:
     """Write one capture, whole or not at all, and give its SHA-256."""
     path = folder / f"{labels.name.replace('/', '__')}.safetensors"
     header = {"name": labels.name, "subject": labels.subject, "lights": labels.lights, "files": labels.files}
@@ -134,7 +134,7 @@ def read_index(folder: Path | str) -> dict[str, Any]:
     return index
 
 
-def load_surfaces(folder: Path | str) -> list[SurfaceLabels]:
+def load_normal_labels(folder: Path | str) -> list[NormalLabels]:
     """All captures of a finished folder, in the order of their names, hashes checked.
 
     Raises:
@@ -145,7 +145,7 @@ def load_surfaces(folder: Path | str) -> list[SurfaceLabels]:
     return [_read(folder, name, row["sha256"]) for name, row in sorted(index["captures"].items())]
 
 
-def _read(folder: Path, name: str, digest: str) -> SurfaceLabels:
+def _read(folder: Path, name: str, digest: str) -> NormalLabels:
     path = folder / f"{name.replace('/', '__')}.safetensors"
     if not path.is_file() or sha256(path) != digest:
         raise InputError(f"{path}: missing or changed since it was written; make the labels again")
@@ -153,7 +153,7 @@ def _read(folder: Path, name: str, digest: str) -> SurfaceLabels:
         tensors = {key: tensor.float() for key, tensor in load_file(path).items()}
         with safe_open(path, framework="pt") as file:
             header = json.loads(file.metadata()["sfsnet_dr"])
-        labels = SurfaceLabels(
+        labels = NormalLabels(
             header["name"], header["subject"], tuple(header["lights"]), tuple(header["files"]), **tensors
         )
     except (SafetensorError, TypeError, KeyError, ValueError) as error:
@@ -179,12 +179,12 @@ def mean_normals(folders: Folders) -> Tensor:
         InputError: for folders without usable bundles.
     """
     total, cover = torch.zeros(3, FACE_SIZE, FACE_SIZE), torch.zeros(1, FACE_SIZE, FACE_SIZE)
-    paths = [path for path, _ in listed(folders)]
+    paths = [path for path, _ in list_bundles(folders)]
     for path in paths:
         normal, skin = _in_frame(path)
         total += normal
         cover += skin
-    total, cover = total + flip_normal(total), cover + cover.flip(-1)
+    total, cover = total + mirror_normal(total), cover + cover.flip(-1)
     known = cover >= 2 * _COVERED * len(paths)
     return torch.where(known, total / cover.clamp_min(1e-6), torch.zeros(()))
 
@@ -201,7 +201,7 @@ def head_normals(
     Raises:
         InputError: for folders without usable bundles.
     """
-    paths = [path for path, _ in listed(folders)]
+    paths = [path for path, _ in list_bundles(folders)]
     for path in paths[:: -(-len(paths) // most)]:
         normal, skin = _in_frame(path)
         yield normal.movedim(0, -1).double().numpy(), skin[0].numpy() > _WHOLE
@@ -211,6 +211,6 @@ def _in_frame(path: Path) -> tuple[Tensor, Tensor]:
     """A bundle's normals times its skin (3, 128, 128), and its skin (1, 128, 128)."""
     bundle = read_bundle(path)
     skin = torch.from_numpy(bundle.mask)[None].float()
-    frame = View(skin.shape[-1])
+    frame = Crop(skin.shape[-1])
     normal = torch.from_numpy(bundle.normal).movedim(-1, 0).float() * skin
-    return frame.spread(normal, FACE_SIZE), frame.spread(skin, FACE_SIZE)
+    return frame.invert(normal, FACE_SIZE), frame.invert(skin, FACE_SIZE)

@@ -49,7 +49,7 @@ class Workers(Protocol):
         ...
 
 
-def choose(count: int, tasks: int, ray: str | None = None, *, lifetime: int = LIFETIME) -> Workers:
+def choose_workers(count: int, tasks: int, ray: str | None = None, *, lifetime: int = LIFETIME) -> Workers:
     """The way to run ``tasks`` seeds on ``count`` workers.
 
     One worker that need not be replaced is this process itself.
@@ -62,13 +62,13 @@ def choose(count: int, tasks: int, ray: str | None = None, *, lifetime: int = LI
         lifetime: seeds after which a process is replaced.
     """
     if ray is not None:
-        return OnRay(ray, count, lifetime)
+        return RayWorkers(ray, count, lifetime)
     if count == 1 and tasks <= lifetime:
-        return Here()
-    return Crew(min(count, max(tasks, 1)), lifetime)
+        return InProcess()
+    return ProcessPool(min(count, max(tasks, 1)), lifetime)
 
 
-class Here:
+class InProcess:
     """No worker but this process."""
 
     def run(self, work: Callable[[int], T], seeds: Sequence[int]) -> Iterator[tuple[int, T]]:
@@ -77,7 +77,7 @@ class Here:
             yield seed, work(seed)
 
 
-class Crew:
+class ProcessPool:
     """Fresh processes on this machine, which end with this one, whatever ends it.
 
     Args:
@@ -200,7 +200,7 @@ def threads_each(count: int) -> int:
     return max(1, (os.cpu_count() or 1) // count)
 
 
-class OnRay:
+class RayWorkers:
     """Tasks of Ray (extra ``distributed``).
 
     The functions must be importable and files that they read must be found under the same names on all

@@ -25,11 +25,18 @@ from sfsnet_dr.core.color import linear_to_srgb
 from sfsnet_dr.core.color_torch import linear_to_srgb as linear_to_srgb_torch
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.core.image_io import read_image
-from sfsnet_dr.data.alignment import COUNT, canonical_landmarks, eye_centres, inside, skin_mask, to_canonical
+from sfsnet_dr.data.alignment import (
+    COUNT,
+    canonical_coverage,
+    canonical_landmarks,
+    eye_centres,
+    skin_mask,
+    to_canonical,
+)
 from sfsnet_dr.data.dataset import Faces, RelitFaces
 from sfsnet_dr.data.transforms.background import Augmentation
-from sfsnet_dr.data.transforms.crop import WHOLE, View
-from sfsnet_dr.scene.lights.cache import draw_bank
+from sfsnet_dr.data.transforms.crop import WHOLE, Crop
+from sfsnet_dr.scene.lights.cache import draw_lights
 
 Array = npt.NDArray[np.float64]
 
@@ -48,7 +55,7 @@ class Photo:
 
 
 @dataclass(frozen=True)
-class Skipped:
+class SkippedPhotos:
     """A photograph that cannot be used, and why."""
 
     name: str
@@ -71,13 +78,13 @@ class PhotoSet:
     masks: Tensor
     names: tuple[str, ...]
     hashes: tuple[str, ...]
-    skipped: tuple[Skipped, ...]
+    skipped: tuple[SkippedPhotos, ...]
 
     def __len__(self) -> int:
         return len(self.names)
 
 
-def list_photos(folder: Path | str) -> tuple[list[Photo], list[Skipped]]:
+def list_photos(folder: Path | str) -> tuple[list[Photo], list[SkippedPhotos]]:
     """All photographs of a folder in the order of their names, and those without usable landmarks.
 
     Raises:
@@ -94,7 +101,7 @@ def list_photos(folder: Path | str) -> tuple[list[Photo], list[Skipped]]:
             name = path.relative_to(folder).as_posix()
             reason = _unusable(known.get(path.name))
             if reason:
-                skipped.append(Skipped(name, reason))
+                skipped.append(SkippedPhotos(name, reason))
             else:
                 photos.append(Photo(name, path, known[path.name]))
     if not photos:
@@ -102,7 +109,7 @@ def list_photos(folder: Path | str) -> tuple[list[Photo], list[Skipped]]:
     return photos, skipped
 
 
-def hold_back(photos: Sequence[Photo], count: int, seed: int = 0) -> tuple[list[Photo], list[Photo]]:
+def split_holdout(photos: Sequence[Photo], count: int, seed: int = 0) -> tuple[list[Photo], list[Photo]]:
     """Split into photographs to learn from and ``count`` to measure on, by a hash of the seed and the name.
 
     Whether one is held back hardly depends on which others are there.
@@ -118,7 +125,7 @@ def hold_back(photos: Sequence[Photo], count: int, seed: int = 0) -> tuple[list[
 
 
 def load_photos(
-    photos: Sequence[Photo], view: View = WHOLE, on_photo: Callable[[], object] | None = None
+    photos: Sequence[Photo], view: Crop = WHOLE, on_photo: Callable[[], object] | None = None
 ) -> PhotoSet:
     """Read photographs, bring each to the canonical frame and show it as ``view`` says, in linear light.
 
@@ -138,7 +145,7 @@ def load_photos(
         try:
             image, mask = _canonical(photo, view)
         except InputError as error:
-            skipped.append(Skipped(photo.name, str(error)))
+            skipped.append(SkippedPhotos(photo.name, str(error)))
         else:
             images.append(image)
             masks.append(mask)
@@ -155,19 +162,19 @@ def load_photos(
     )
 
 
-def _canonical(photo: Photo, view: View) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]]:
+def _canonical(photo: Photo, view: Crop) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]]:
     pixels = read_image(photo.path, channels=3).pixels
     eyes = eye_centres(photo.points)
     image = _shown(np.moveaxis(to_canonical(pixels, eyes), -1, 0), view)
     mask = _shown(skin_mask(canonical_landmarks(photo.points))[None], view)
-    mask = mask * _shown(inside(pixels.shape[0], pixels.shape[1], eyes)[None], view)
+    mask = mask * _shown(canonical_coverage(pixels.shape[0], pixels.shape[1], eyes)[None], view)
     if not mask.any():
         raise InputError("no face in the frame: its landmarks lie outside the picture")
     return _bytes(linear_to_srgb(image)), _bytes(mask)
 
 
-def _shown(planes: npt.NDArray[np.float32], view: View) -> npt.NDArray[np.float32]:
-    shown: npt.NDArray[np.float32] = view.shown(torch.from_numpy(planes.astype(np.float32))).numpy()
+def _shown(planes: npt.NDArray[np.float32], view: Crop) -> npt.NDArray[np.float32]:
+    shown: npt.NDArray[np.float32] = view.apply(torch.from_numpy(planes.astype(np.float32))).numpy()
     return shown
 
 
@@ -250,7 +257,7 @@ def _unusable(points: Array | None) -> str:
 _LIGHTS: Final = 256
 _SEED: Final = 7_000_001
 
-Load = Callable[[Sequence[str], View], PhotoSet]
+Load = Callable[[Sequence[str], Crop], PhotoSet]
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,10 +298,10 @@ def photo_folder(folder: Path | str, *, held_back: int, most: int | None = None)
         InputError: for an unusable folder.
     """
     listed, skipped = list_photos(folder)
-    train, held = hold_back(listed, held_back)
+    train, held = split_holdout(listed, held_back)
     known = {photo.name: photo for photo in listed}
 
-    def load(names: Sequence[str], view: View) -> PhotoSet:
+    def load(names: Sequence[str], view: Crop) -> PhotoSet:
         return load_photos([known[name] for name in names], view)
 
     return PhotoSource(
@@ -305,7 +312,7 @@ def photo_folder(folder: Path | str, *, held_back: int, most: int | None = None)
     )
 
 
-def stand_ins(
+def rendered_stand_ins(
     train: Faces, held: Faces, augmentation: Augmentation, *, held_back: int, most: int
 ) -> PhotoSource:
     """Rendered faces photographed under lights of their own, as 8-bit pictures: photographs in form only.
@@ -316,14 +323,14 @@ def stand_ins(
         held_back: pictures to measure on, of held faces.
         most: pictures to learn from.
     """
-    bank = draw_bank(augmentation.light, min(augmentation.lights, _LIGHTS), _SEED)
+    bank = draw_lights(augmentation.light, min(augmentation.lights, _LIGHTS), _SEED)
     parts = {
         kind: RelitFaces(faces, 1, replace(augmentation, held_back=0), _SEED, bank)
         for kind, faces in (("train", train), ("held", held))
     }
 
-    def load(names: Sequence[str], view: View) -> PhotoSet:
-        found = View(train.normal.shape[-1], augmentation.crop)
+    def load(names: Sequence[str], view: Crop) -> PhotoSet:
+        found = Crop(train.normal.shape[-1], augmentation.crop)
         if view != found:
             raise InputError(f"{view} found, the rendered photographs are {found}")
         return _photographed([(parts[kind], int(number)) for kind, number in map(_split, names)], names)

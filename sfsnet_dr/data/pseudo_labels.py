@@ -52,7 +52,7 @@ class Labels(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PseudoFaces:
-    """N photographs with their labels in memory, as kept; ``decoded`` gives numbers to compute with.
+    """N photographs with their labels in memory, as kept; ``decode_labels`` gives numbers to compute with.
 
     Attributes:
         labels: all shards, joined.
@@ -75,7 +75,7 @@ class PseudoFaces:
         return PseudoFaces(labels, self.names, self.spec, self.fingerprint)
 
 
-def encoded(
+def encode_labels(
     image: Tensor, mask: Tensor, confidence: Tensor, normal: Tensor, albedo: Tensor, light: Tensor
 ) -> Labels:
     """Labels as kept, of a picture and a mask that are bytes already, and numbers for the rest."""
@@ -89,7 +89,7 @@ def encoded(
     )
 
 
-def decoded(labels: Labels) -> Labels:
+def decode_labels(labels: Labels) -> Labels:
     """Float32 numbers: ``image`` still sRGB-encoded, all in [0, 1], albedo linear, normals of length 1."""
     normal = labels.normal.float()
     return Labels(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from sfsnet_dr.core.errors import check_shape
 from sfsnet_dr.data.bundle import Bundle
 from sfsnet_dr.data.transforms.background import sample_surroundings
-from sfsnet_dr.data.transforms.camera import PhotoOptions, photograph, sample_effects
+from sfsnet_dr.data.transforms.camera import PhotoOptions, sample_effects, simulate_photograph
 from sfsnet_dr.render.transport_shading import Transport
 from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.spec import CameraSpec
@@ -55,5 +55,5 @@ def relight_bundle(bundle: Bundle, light: Light, photo: PhotoOptions | None = No
     place = sample_surroundings(rng, soft, distance, size)
     planes = (torch.from_numpy(np.moveaxis(part, -1, 0).copy())[None] for part in (image, place))
     coverage = torch.from_numpy(bundle.coverage.copy())[None, None]
-    taken = photograph(next(planes), coverage, next(planes), [sample_effects(rng, photo)])
+    taken = simulate_photograph(next(planes), coverage, next(planes), [sample_effects(rng, photo)])
     return np.asarray(np.moveaxis(taken[0].numpy(), 0, -1), np.float64)

@@ -53,7 +53,7 @@ _WHOLE: Final = 0.95
 _FEWEST: Final = 100
 
 
-def vertical_stretch(faces: Sequence[tuple[Array, npt.NDArray[np.bool_]]]) -> float:
+def vertical_scale_from_integrability(faces: Sequence[tuple[Array, npt.NDArray[np.bool_]]]) -> float:
     """The factor for n_y that makes normals those of surfaces, one for all faces; 1 if they cannot tell.
 
     Args:
@@ -115,7 +115,9 @@ FEWEST_HEADS: Final = 20
 _SLOPE_RANGE: Final = (0.7, 1.5)
 
 
-def usual_slopes(faces: Sequence[tuple[Array, Known]], heads: Iterable[tuple[Array, Known]]) -> float:
+def resolve_bas_relief_scale(
+    faces: Sequence[tuple[Array, Known]], heads: Iterable[tuple[Array, Known]]
+) -> float:
     """The factor for n_x and n_y for which the faces are as steep as heads are on average.
 
     Args:

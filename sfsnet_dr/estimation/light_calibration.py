@@ -52,7 +52,7 @@ _BRIGHT: Final = 0.8
 
 
 @dataclass(frozen=True, eq=False)
-class Guess:
+class InitialNormals:
     """Pixels of one capture, and what a network says about them.
 
     Attributes:
@@ -72,7 +72,7 @@ class Guess:
 
 
 @dataclass(frozen=True)
-class Lamps:
+class CalibratedLights:
     """What was found.
 
     Attributes:
@@ -85,7 +85,7 @@ class Lamps:
     lost: Mapping[str, str] = field(default_factory=dict)
     strength: Mapping[str, float] = field(default_factory=dict)
 
-    def for_stretched(self, across: float, down: float) -> Lamps:
+    def for_stretched(self, across: float, down: float) -> CalibratedLights:
         """The lamps that explain the same pictures with n_x and n_y of all surfaces times two factors."""
         lamps = {
             name: self.strength[name] * direction / np.array([across, down, 1.0])
@@ -99,13 +99,13 @@ class Lamps:
 class _Fit:
     """A capture, which values mean something, scaled normals (P, 3), and lamps times strength (N, 3)."""
 
-    guess: Guess
+    guess: InitialNormals
     valid: Array
     scaled: Array
     lamps: Array
 
 
-def find_lamps(captures: Sequence[Guess]) -> Lamps:
+def calibrate_lights(captures: Sequence[InitialNormals]) -> CalibratedLights:
     """Directions of lamps that all captures share; a thousand pixels of each are enough.
 
     Raises:
@@ -128,7 +128,7 @@ def find_lamps(captures: Sequence[Guess]) -> Lamps:
     return _named(names, shared @ turn.T, _seen(fits, places, len(names)) @ turn.T)
 
 
-def _alone(guess: Guess) -> _Fit:
+def _alone(guess: InitialNormals) -> _Fit:
     """Turns of lamps and normals of one capture, kept in the frame of the network's normals."""
     scaled = guess.normal * np.quantile(guess.values, _BRIGHT, axis=1)[:, None]
     facing = np.median(np.maximum(scaled @ guess.direction.T, 0), axis=0)
@@ -221,7 +221,7 @@ def _seen(fits: Sequence[_Fit], places: Sequence[npt.NDArray[np.intp]], count: i
     return _unit(total)
 
 
-def _named(names: Sequence[str], lamps: Array, seen: Array) -> Lamps:
+def _named(names: Sequence[str], lamps: Array, seen: Array) -> CalibratedLights:
     strength = np.linalg.norm(lamps, axis=1)
     share = strength / np.median(strength)
     directions = _unit(lamps)
@@ -238,7 +238,7 @@ def _named(names: Sequence[str], lamps: Array, seen: Array) -> Lamps:
             )
         else:
             found[name] = directions[number]
-    return Lamps(found, lost, {name: float(strength[names.index(name)]) for name in found})
+    return CalibratedLights(found, lost, {name: float(strength[names.index(name)]) for name in found})
 
 
 def _rotation(found: Array, wanted: Array) -> Array:

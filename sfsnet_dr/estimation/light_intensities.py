@@ -53,7 +53,7 @@ _UNKNOWN: Final = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class Shots:
+class LightImages:
     """Pixels of one capture under its lights.
 
     Attributes:
@@ -68,7 +68,7 @@ class Shots:
 
 
 @dataclass(frozen=True)
-class Strobes:
+class LightIntensities:
     """Strengths of lamps by name, and the slope of the oblique gain.
 
     Attributes:
@@ -88,7 +88,7 @@ class Strobes:
         return np.asarray(own * _oblique(self.oblique, directions))
 
 
-def estimate_strobes(captures: Sequence[Shots]) -> Strobes:
+def estimate_light_intensities(captures: Sequence[LightImages]) -> LightIntensities:
     """Gains that all captures share.
 
     Args:
@@ -102,17 +102,17 @@ def estimate_strobes(captures: Sequence[Shots]) -> Strobes:
         raise InputError("captures: none found, at least one is needed")
     chosen = [shots for shots in captures if len(shots.lights) >= FEWEST_FOR_GAINS]
     if not chosen:
-        return Strobes()
+        return LightIntensities()
     oblique = _slope(chosen, {})
     strength, spread = _strengths(chosen, oblique)
-    return Strobes(strength, _slope(chosen, strength), spread)
+    return LightIntensities(strength, _slope(chosen, strength), spread)
 
 
-def _slope(captures: Sequence[Shots], strength: Mapping[str, float]) -> float:
+def _slope(captures: Sequence[LightImages], strength: Mapping[str, float]) -> float:
     """k of the least residual for given s_j."""
 
     def misfit(slope: float) -> float:
-        gains = Strobes(strength, slope)
+        gains = LightIntensities(strength, slope)
         return float(np.mean([_misfit(s, gains.gains(s.lights, s.directions)) for s in captures]))
 
     # The bounded search never tries its ends, and lamps without any slope are the most likely ones.
@@ -120,7 +120,7 @@ def _slope(captures: Sequence[Shots], strength: Mapping[str, float]) -> float:
     return 0.0 if misfit(0.0) <= found.fun else float(found.x)
 
 
-def _misfit(shots: Shots, gains: Array) -> float:
+def _misfit(shots: LightImages, gains: Array) -> float:
     """Mean of Cauchy's loss over the pixels that each light reaches."""
     values, valid = shots.values / gains, is_valid(shots.values)
     scaled, _ = fit_pixels(values, valid, shots.directions, rounds=_REWEIGHTED)
@@ -129,14 +129,14 @@ def _misfit(shots: Shots, gains: Array) -> float:
     return float(np.log1p(((values - model) / (SCALE * size))[reached] ** 2).mean()) if reached.any() else 0.0
 
 
-def _strengths(captures: Sequence[Shots], oblique: float) -> tuple[dict[str, float], float]:
+def _strengths(captures: Sequence[LightImages], oblique: float) -> tuple[dict[str, float], float]:
     """s_j for a given k by turns of fitting the surface and the lamps, and the captures' disagreement."""
     heights = {name: z for s in captures for name, z in zip(s.lights, s.directions[:, 2], strict=True)}
     names: list[str] = []
     logs = np.zeros(0)
     ratios: dict[str, list[Array]] = {}
     for _ in range(_ROUNDS):
-        known = Strobes(dict(zip(names, np.exp(logs), strict=True)), oblique)
+        known = LightIntensities(dict(zip(names, np.exp(logs), strict=True)), oblique)
         ratios = {}
         for shots in captures:
             _add_ratios(ratios, shots, known.gains(shots.lights, shots.directions))
@@ -177,7 +177,7 @@ def _mean(rows: Sequence[Array]) -> Array:
     return np.asarray(np.where(known.any(0), total / np.maximum(known.sum(0), 1), np.nan))
 
 
-def _add_ratios(ratios: dict[str, list[Array]], shots: Shots, gains: Array) -> None:
+def _add_ratios(ratios: dict[str, list[Array]], shots: LightImages, gains: Array) -> None:
     """Log of what each light shows over what the model says: of all trusted pixels, and of four parts."""
     values, valid = shots.values / gains, is_valid(shots.values)
     scaled, weights = fit_pixels(values, valid, shots.directions, rounds=_REWEIGHTED)

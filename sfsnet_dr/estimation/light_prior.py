@@ -28,7 +28,7 @@ from sfsnet_dr.core.errors import InputError, RunError, check_shape
 from sfsnet_dr.core.files import output_dir
 from sfsnet_dr.data.alignment import canonical_landmarks
 from sfsnet_dr.data.photos import Photo, list_photos, load_photos
-from sfsnet_dr.estimation.morphable_fit import explain, fit_landmarks
+from sfsnet_dr.estimation.morphable_fit import explain_by_light, fit_landmarks
 from sfsnet_dr.estimation.sh_lighting import MEAN_SKIN, RIDGE
 from sfsnet_dr.scene.faces.linear_model import FaceModes
 from sfsnet_dr.scene.lights.light import face_normals
@@ -42,7 +42,7 @@ _CLOSE_ENOUGH: Final = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
-class Mixture:
+class GaussianMixture:
     """K normal distributions in D dimensions.
 
     Attributes:
@@ -62,7 +62,7 @@ class Mixture:
         return _total(_weighted_logs(rows, self.shares, self.means, self.factors))
 
 
-def fit_mixture(rows: Array, components: int, seed: int = 0, floor: float = 1e-4) -> Mixture:
+def fit_mixture(rows: Array, components: int, seed: int = 0, floor: float = 1e-4) -> GaussianMixture:
     """Fit a mixture with full covariances.
 
     Args:
@@ -88,7 +88,7 @@ def fit_mixture(rows: Array, components: int, seed: int = 0, floor: float = 1e-4
         total = _total(logs)
         told.append(float(total.mean()))
         if len(told) >= _ROUNDS or (len(told) > 1 and told[-1] - told[-2] < _CLOSE_ENOUGH):
-            return Mixture(shares, means, factors, tuple(told))
+            return GaussianMixture(shares, means, factors, tuple(told))
         belonging = np.exp(logs - total[:, None])
 
 
@@ -144,7 +144,7 @@ _WORST: Final = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class PhotographFit:
     """One photograph's fit.
 
     Attributes:
@@ -165,10 +165,10 @@ class Fit:
 
 
 @dataclass(frozen=True, eq=False)
-class Fits:
+class PhotographFits:
     """All fits of a folder, and the photographs that could not be used, with reasons."""
 
-    fits: tuple[Fit, ...]
+    fits: tuple[PhotographFit, ...]
     skipped: dict[str, str]
 
 
@@ -180,7 +180,7 @@ def fit_photographs(
     most: int | None = None,
     seed: int = 0,
     on_photo: Callable[[], object] = lambda: None,
-) -> Fits:
+) -> PhotographFits:
     """Fit face and light of each photograph of a folder; go on where an earlier call was stopped.
 
     Args:
@@ -196,7 +196,7 @@ def fit_photographs(
         RunError: if no photograph could be fitted.
     """
     listed, skipped = list_photos(photographs)
-    chosen = choose(listed, most, seed)
+    chosen = choose_components(listed, most, seed)
     kept = _Kept(output_dir(out) / FITS, {"format": _FORMAT, "model": model.digest, "ridge": RIDGE})
     todo = []
     for photo in chosen:
@@ -212,10 +212,10 @@ def fit_photographs(
     fits = tuple(fit for name, fit in sorted(kept.done.items()) if fit is not None and name in names)
     if not fits:
         raise RunError(f"{photographs}: none of {len(chosen)} photographs could be fitted; see {kept.path}")
-    return Fits(fits, reasons)
+    return PhotographFits(fits, reasons)
 
 
-def choose(photos: Sequence[Photo], most: int | None, seed: int) -> list[Photo]:
+def choose_components(photos: Sequence[Photo], most: int | None, seed: int) -> list[Photo]:
     """Up to ``most`` photographs, in the order of their names."""
     if most is None or most >= len(photos):
         return list(photos)
@@ -226,7 +226,7 @@ def choose(photos: Sequence[Photo], most: int | None, seed: int) -> list[Photo]:
 
 
 def learn_mixture(
-    fits: Sequence[Fit], components: Sequence[int], seed: int, source: dict[str, Any]
+    fits: Sequence[PhotographFit], components: Sequence[int], seed: int, source: dict[str, Any]
 ) -> LightMixture:
     """A mixture over the lights of photographs with colour.
 
@@ -236,8 +236,8 @@ def learn_mixture(
     Raises:
         InputError: if too few photographs are left for the smallest number.
     """
-    used = usable(fits)
-    lights = normalised(np.array([fit.light for fit in used]).reshape(-1, LIGHT_SIZE))
+    used = usable_fits(fits)
+    lights = normalise_exposure(np.array([fit.light for fit in used]).reshape(-1, LIGHT_SIZE))
     order = np.random.default_rng([seed, 3]).permutation(len(lights))
     train, held = lights[order[len(order) // 5 :]], lights[order[: len(order) // 5]]
     tried = [k for k in components if k == min(components) or len(train) > _ROWS * k * LIGHT_SIZE]
@@ -257,12 +257,12 @@ def learn_mixture(
     return LightMixture(best.shares, best.means, best.factors, source | told)
 
 
-def usable(fits: Sequence[Fit]) -> list[Fit]:
+def usable_fits(fits: Sequence[PhotographFit]) -> list[PhotographFit]:
     """Those that say something of a light and its colour."""
     return [fit for fit in fits if not fit.grey and fit.residual <= _WORST and (_levels(fit.light) > 0).all()]
 
 
-def normalised(lights: Array) -> Array:
+def normalise_exposure(lights: Array) -> Array:
     """Lights (N, 27) of level 1 whose median tint is white.
 
     The level is the luminance of the mean shading of a face (``scene.lights.face_normals``).
@@ -281,10 +281,10 @@ def _levels(lights: Array) -> Array:
 
 def _fit_batch(
     photos: Sequence[Photo], model: FaceModes, on_photo: Callable[[], object]
-) -> list[tuple[str, Fit | str]]:
+) -> list[tuple[str, PhotographFit | str]]:
     begin = time.perf_counter()
     read = load_photos(photos)
-    results: list[tuple[str, Fit | str]] = [(item.name, item.reason) for item in read.skipped]
+    results: list[tuple[str, PhotographFit | str]] = [(item.name, item.reason) for item in read.skipped]
     for _ in read.skipped:
         on_photo()
     if not len(read):
@@ -297,14 +297,16 @@ def _fit_batch(
         image = np.asarray(srgb_to_linear(np.moveaxis(read.images[index].numpy(), 0, -1) / 255.0))
         shown = read.masks[index, 0].numpy() / 255.0
         try:
-            found = explain(image, model, placement, index, shown)
+            found = explain_by_light(image, model, placement, index, shown)
         except InputError as error:
             results.append((name, str(error)))
         else:
             seconds = shared + time.perf_counter() - begin
             grey = _is_grey(image, shown)
             error_px = found.landmark_error
-            results.append((name, Fit(name, found.light.flat(), found.residual, error_px, grey, seconds)))
+            results.append(
+                (name, PhotographFit(name, found.light.flat(), found.residual, error_px, grey, seconds))
+            )
         on_photo()
     return results
 
@@ -318,7 +320,7 @@ class _Kept:
     """A file of fits: a header, then a line a photograph. A torn last line is done again."""
 
     def __init__(self, path: Path, header: dict[str, Any]) -> None:
-        self.path, self.done, self.skipped = path, dict[str, Fit | None](), dict[str, str]()
+        self.path, self.done, self.skipped = path, dict[str, PhotographFit | None](), dict[str, str]()
         if not path.is_file() or not path.read_bytes().strip():
             path.write_text(json.dumps(header) + "\n", encoding="utf-8")
             return
@@ -334,7 +336,7 @@ class _Kept:
         for row in rows:
             self._take(row)
 
-    def add(self, results: Sequence[tuple[str, Fit | str]]) -> None:
+    def add(self, results: Sequence[tuple[str, PhotographFit | str]]) -> None:
         """Keep a batch."""
         rows = []
         for name, result in results:
@@ -349,9 +351,9 @@ class _Kept:
             self.done[row["name"]] = None
             self.skipped[row["name"]] = row["skipped"]
         else:
-            self.done[row["name"]] = Fit(**(row | {"light": np.array(row["light"])}))
+            self.done[row["name"]] = PhotographFit(**(row | {"light": np.array(row["light"])}))
 
 
-def _row(fit: Fit) -> dict[str, Any]:
+def _row(fit: PhotographFit) -> dict[str, Any]:
     plain: dict[str, Any] = dict(vars(fit))
     return plain | {"light": [float(f"{value:.7g}") for value in fit.light], "seconds": round(fit.seconds, 4)}

@@ -114,14 +114,14 @@ def marking_offsets() -> Array:
     return offsets
 
 
-def placed(model: FaceModes, placement: Placement, index: int) -> Array:
+def place_model(model: FaceModes, placement: Placement, index: int) -> Array:
     """Vertices (V, 3) of one fitted face in the camera frame, scene units."""
     centred = model.shape(placement.weights[index]) - _middle(model)
     turned = placement.scale[index] * centred @ placement.rotation[index].T
     return np.asarray(turned + np.append(placement.shift[index], 0.0))
 
 
-def projected(points: Array) -> Array:
+def project_landmarks(points: Array) -> Array:
     """Canonical pixels (..., 2) of points (..., 3) in the camera frame, seen from ``DISTANCE``."""
     factor = _PIXELS_PER_UNIT * DISTANCE / (DISTANCE - points[..., 2:])
     return np.asarray(FACE_SIZE / 2 + factor * points[..., :2] * (1.0, -1.0))
@@ -190,7 +190,7 @@ class _Problem:
 
     def _seen(self, points: Array) -> Array:
         """Pixels (B, ..., 2) of points (B, ..., 3) of the unturned models."""
-        return projected(self._in_camera(points))
+        return project_landmarks(self._in_camera(points))
 
     def _in_camera(self, points: Array) -> Array:
         turned = np.einsum("bxy,b...y->b...x", self.rotation * self.scale[:, None, None], points)
@@ -304,10 +304,10 @@ def fit_face(
     if shown is None:
         whole = bool(np.isfinite(landmarks).all())
         shown = skin_mask(landmarks).astype(np.float64) if whole else np.ones((FACE_SIZE, FACE_SIZE))
-    return explain(photograph, model, placement, 0, shown, ridge, robust)
+    return explain_by_light(photograph, model, placement, 0, shown, ridge, robust)
 
 
-def explain(
+def explain_by_light(
     photograph: Array,
     model: FaceModes,
     placement: Placement,
@@ -334,9 +334,9 @@ def explain(
 
 def face_maps(model: FaceModes, placement: Placement, index: int, size: int = FACE_SIZE) -> FaceMaps:
     """Normals and skin of a fitted face, at the centres of ``size`` pixels."""
-    vertices = placed(model, placement, index)
+    vertices = place_model(model, placement, index)
     values = np.column_stack([vertex_normals(vertices, model.faces), model.skin, model.bare])
-    points = projected(vertices) * (size / FACE_SIZE)
+    points = project_landmarks(vertices) * (size / FACE_SIZE)
     picture, seen = rasterise(points, -vertices[:, 2], model.faces, values, size)
     length = np.linalg.norm(picture[..., :3], axis=-1, keepdims=True)
     normal = picture[..., :3] / np.where(length > 0, length, 1.0)

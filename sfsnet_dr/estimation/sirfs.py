@@ -35,10 +35,10 @@ from sfsnet_dr.core.errors import InputError, check_shape
 from sfsnet_dr.estimation.sirfs_priors import (
     albedo_edges,
     albedo_entropy,
-    bending,
+    bending_energy,
     draw_pairs,
     natural_lights,
-    outline,
+    outline_energy,
 )
 from sfsnet_dr.render.shading_torch import unit
 from sfsnet_dr.sh.basis_torch import sh_basis
@@ -169,7 +169,7 @@ class _Search:
         self.options, self.mask = options, mask
         self.bright = (gray + 0.5 * options.dark).log()
         self.pairs = draw_pairs(gray.shape[-1])
-        self.outline = outline(mask)
+        self.outline = outline_energy(mask)
         self.mean, self.root = natural_lights()
         count, size = len(gray), gray.shape[-1]
         self.start = _dome(mask, options.dome)
@@ -199,7 +199,7 @@ class _Search:
         """As it stands."""
         with torch.no_grad():
             depth = self.depth()
-            return Intrinsic(normals_of(depth), depth, self.light(), self.energy())
+            return Intrinsic(normals_of_height(depth), depth, self.light(), self.energy())
 
     def depth(self) -> Tensor:
         """(B, 1, S, S)."""
@@ -220,7 +220,7 @@ class _Search:
     def energy(self) -> Tensor:
         """Of each image, (B,)."""
         options, depth = self.options, self.depth()
-        normal = normals_of(depth)
+        normal = normals_of_height(depth)
         basis = sh_basis(normal, LIGHT_ORDER, dim=1)
         shade = torch.einsum("bkhw,bk->bhw", basis, self.light())[:, None]
         soft = functional.softplus(shade, beta=_SHARP)
@@ -235,7 +235,7 @@ class _Search:
             options.edges * albedo_edges(albedo, self.mask)
             + options.entropy * albedo_entropy(albedo, self.mask, self.pairs)
             + options.level * level
-            + options.bend * bending(depth, self.mask)
+            + options.bend * bending_energy(depth, self.mask)
             + options.front * slant
             + options.contour * turned
             + options.light * (self.code**2).mean(1)
@@ -245,7 +245,7 @@ class _Search:
 _LOG_HALF: Final = -0.6931
 
 
-def normals_of(depth: Tensor) -> Tensor:
+def normals_of_height(depth: Tensor) -> Tensor:
     """Unit normals (B, 3, S, S) of a depth map (B, 1, S, S): z toward the viewer, in pixels."""
     padded = functional.pad(depth, (1, 1, 1, 1), mode="replicate")
     right = (padded[..., 1:-1, 2:] - padded[..., 1:-1, :-2]) / 2

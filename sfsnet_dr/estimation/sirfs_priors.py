@@ -63,7 +63,7 @@ def albedo_entropy(albedo: Tensor, mask: Tensor, pairs: Tensor) -> Tensor:
     return -torch.log(near / count + 1e-4)
 
 
-def bending(depth: Tensor, mask: Tensor) -> Tensor:
+def bending_energy(depth: Tensor, mask: Tensor) -> Tensor:
     """Penalty on changes of a depth map's mean curvature, (B,): planes and spheres have none."""
     curvature = mean_curvature(depth)
     total, count = depth.new_zeros(len(depth)), depth.new_zeros(len(depth))
@@ -90,7 +90,7 @@ def mean_curvature(depth: Tensor) -> Tensor:
     return ((1 + x * x) * yy - 2 * x * y * xy + (1 + y * y) * xx) / (2 * squared * squared.sqrt())
 
 
-def outline(mask: Tensor) -> tuple[Tensor, Tensor]:
+def outline_energy(mask: Tensor) -> tuple[Tensor, Tensor]:
     """Where a mask (B, 1, S, S) ends outward.
 
     Holes in it (eyes, mouth) and the picture's border are no outline: only what can be seen from outside of

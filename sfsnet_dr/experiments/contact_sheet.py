@@ -19,11 +19,11 @@ from sfsnet_dr.data.bundle import Bundle, read_bundle
 from sfsnet_dr.data.manifest import NAME, Manifest
 from sfsnet_dr.data.relight import relight_bundle
 from sfsnet_dr.data.transforms.camera import PhotoOptions
-from sfsnet_dr.inference.sheet import SheetStyle, sheet
+from sfsnet_dr.inference.sheet import SheetStyle, draw_sheet
 from sfsnet_dr.render.transport_shading import ResponseWeights, relight_responses
 from sfsnet_dr.report.html import Block, Figure, Gallery, KeyNumbers, Section, write_page
-from sfsnet_dr.report.plots import histogram
-from sfsnet_dr.report.record import Record, measured
+from sfsnet_dr.report.plots import draw_histogram
+from sfsnet_dr.report.record import Record, make_record
 from sfsnet_dr.scene.lights.environment_map import load_environment
 from sfsnet_dr.scene.lights.light import Light
 
@@ -61,7 +61,9 @@ class _Shown:
         ]
 
 
-def show(folder: Path | str, out: Path | str, count: int = 24, *, command: str = "") -> list[Record]:
+def write_contact_sheet(
+    folder: Path | str, out: Path | str, count: int = 24, *, command: str = ""
+) -> list[Record]:
     """Write ``sheet.png`` and ``index.html`` about a dataset.
 
     Args:
@@ -91,10 +93,10 @@ def show(folder: Path | str, out: Path | str, count: int = 24, *, command: str =
             tones.append(float(bundle.meta.extra["ita"]))
         if place in places:
             shown.append(_shown(bundle))
-    records = [measured("synth.faces", len(entries), "faces", command=command)]
+    records = [make_record("synth.faces", len(entries), "faces", command=command)]
     if tones:
-        records.append(measured("skin.ita.min", min(tones), "degrees", command=command))
-        records.append(measured("skin.ita.max", max(tones), "degrees", command=command))
+        records.append(make_record("skin.ita.min", min(tones), "degrees", command=command))
+        records.append(make_record("skin.ita.max", max(tones), "degrees", command=command))
     picture = _sheet(shown)
     target = output_dir(out)
     with atomic_path(target / "sheet.png") as partial:
@@ -134,7 +136,7 @@ def relight_file(
         raise InputError(f"relight: {found} of --env and --direction found, one of them is needed")
     if not (np.isfinite(exposure) and exposure > 0):
         raise InputError(f"--exposure: {exposure} found, a number above 0 is needed")
-    light = lamp(direction) if direction is not None else load_environment(Path(str(env)))
+    light = lamp_from_text(direction) if direction is not None else load_environment(Path(str(env)))
     if photo_seed is not None and photo_seed < 0:
         raise InputError(f"--photo-seed: {photo_seed} found, a number from 0 on is needed")
     photo = None if photo_seed is None else PhotoOptions()
@@ -142,7 +144,7 @@ def relight_file(
     write_png(out, np.clip(image, 0.0, None))
 
 
-def lamp(text: str) -> Light:
+def lamp_from_text(text: str) -> Light:
     """A white lamp in a direction written as three numbers.
 
     Raises:
@@ -180,7 +182,7 @@ def _sheet(shown: Sequence[_Shown]) -> bytes:
     cells = [cell for face in shown for cell in face.cells()]
     size = len(shown[0].reference)
     cell = size * max(1, 128 // size)
-    return sheet(cells, columns=12, style=SheetStyle(cell=cell, gap=8, margin=12, label=22))
+    return draw_sheet(cells, columns=12, style=SheetStyle(cell=cell, gap=8, margin=12, label=22))
 
 
 def _sections(shown: Sequence[_Shown], tones: Sequence[float]) -> list[Section]:
@@ -202,6 +204,6 @@ def _sections(shown: Sequence[_Shown], tones: Sequence[float]) -> list[Section]:
 def _tones(tones: Sequence[float]) -> list[Block]:
     names = [tone_name(ita) for ita in tones]
     numbers = [(f"{names.count(name)}", name) for name in TONES]
-    plot = histogram(tones, label="ITA of the skin, degrees", bins=_ITA_BINS, counted="faces")
+    plot = draw_histogram(tones, label="ITA of the skin, degrees", bins=_ITA_BINS, counted="faces")
     caption = "How often each skin tone occurs, by its individual typology angle: the lighter, the higher."
     return [KeyNumbers(numbers), Figure(plot, caption)]

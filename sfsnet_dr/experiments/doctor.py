@@ -104,7 +104,7 @@ class Report:
         return "\n".join(lines)
 
 
-def diagnose(time_limit: float = TIME_LIMIT) -> Report:
+def check_installation(time_limit: float = TIME_LIMIT) -> Report:
     """Look at this installation; never raises for what it finds.
 
     Args:

@@ -15,7 +15,7 @@ from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.core.image_io import write_png
 from sfsnet_dr.data.alignment import canonical_landmarks
 from sfsnet_dr.data.photos import Photo, list_photos, load_photos
-from sfsnet_dr.estimation.light_prior import choose, fit_photographs, learn_mixture, usable
+from sfsnet_dr.estimation.light_prior import choose_components, fit_photographs, learn_mixture, usable_fits
 from sfsnet_dr.estimation.morphable_fit import FaceFit, fit_face
 from sfsnet_dr.estimation.sh_lighting import MEAN_SKIN
 from sfsnet_dr.scene.faces.linear_model import FaceModes
@@ -44,7 +44,7 @@ class FitLightsOptions:
 
 
 @dataclass(frozen=True)
-class LightsTold:
+class LightPriorResult:
     """Numbers with their units by name, and the photographs that were skipped, with reasons."""
 
     numbers: dict[str, tuple[float, str]]
@@ -57,7 +57,7 @@ def fit_lights(
     out: Path,
     options: FitLightsOptions,
     on_photo: Callable[[], object] = lambda: None,
-) -> LightsTold:
+) -> LightPriorResult:
     """Fit every photograph, learn the mixture, draw from it; writes fits, mixture and overlays into ``out``.
 
     Raises:
@@ -70,14 +70,14 @@ def fit_lights(
     rejected = 1 - float(lights_visibly(drawn).mean())
     source = dict(mixture.source) | {"rejected_share": round(rejected, 4), "rejected_degrees": VISIBLE}
     write_mixture(out / "mixture.json", type(mixture)(mixture.shares, mixture.means, mixture.factors, source))
-    chosen = choose(list_photos(photographs)[0], options.most, options.seed)
+    chosen = choose_components(list_photos(photographs)[0], options.most, options.seed)
     done = {fit.name for fit in every.fits}
     write_png(out / "overlays.png", overlays([photo for photo in chosen if photo.name in done], model))
     residuals = [fit.residual for fit in every.fits]
     numbers = {
         "photographs": (float(len(every.fits)), "photographs"),
         "skipped": (float(len(every.skipped)), "photographs"),
-        "used": (float(len(usable(every.fits))), "photographs"),
+        "used": (float(len(usable_fits(every.fits))), "photographs"),
         "landmarks.mean_px": (float(np.mean([fit.landmark_error for fit in every.fits])), "pixel"),
         "residual.median": (float(np.median(residuals)), "1"),
         "residual.p90": (float(np.quantile(residuals, 0.9)), "1"),
@@ -85,7 +85,7 @@ def fit_lights(
         "mixture.components": (float(len(mixture.shares)), "components"),
         "mixture.rejected": (rejected, "1"),
     }
-    return LightsTold(numbers, every.skipped)
+    return LightPriorResult(numbers, every.skipped)
 
 
 def overlays(photos: list[Photo], model: FaceModes, count: int = _SHOWN) -> Array:

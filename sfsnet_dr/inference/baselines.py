@@ -21,7 +21,14 @@ from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.estimation.morphable_fit import CLIPPED, face_maps, fit_landmarks
 from sfsnet_dr.estimation.sh_lighting import MEAN_SKIN, fit_light
 from sfsnet_dr.estimation.sirfs import IntrinsicOptions, solve_intrinsic
-from sfsnet_dr.inference.methods import MEAN_ALBEDO, Answer, Method, divided, explained, fitted_light
+from sfsnet_dr.inference.methods import (
+    MEAN_ALBEDO,
+    Method,
+    Prediction,
+    albedo_by_division,
+    fit_light_and_albedo,
+    fit_light_to_images,
+)
 from sfsnet_dr.render.shading_torch import shading, unit
 from sfsnet_dr.scene.faces.linear_model import FaceModes
 
@@ -41,9 +48,9 @@ class MeanNormals:
     def __init__(self, normals: Mapping[str, Tensor]) -> None:
         self._normals = _Others(normals)
 
-    def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Answer:
+    def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Prediction:
         """See ``Method``."""
-        return explained(_ahead(self._normals(subjects)), images, masks)
+        return fit_light_and_albedo(_ahead(self._normals(subjects)), images, masks)
 
 
 class OneAlbedo:
@@ -58,7 +65,7 @@ class OneAlbedo:
     def __init__(self, normals: Mapping[str, Tensor]) -> None:
         self._normals = _Others(normals)
 
-    def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Answer:
+    def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Prediction:
         """See ``Method``."""
         albedo = torch.full_like(images[:, :1], MEAN_ALBEDO)
         return _lit(_ahead(self._normals(subjects)), albedo, images, masks)
@@ -79,7 +86,7 @@ class MeanAlbedo:
         self._normals, self._albedo = _Others(normals), _Others(scaled)
         self._known = _Others({name: (each > 0).float() for name, each in scaled.items()})
 
-    def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Answer:
+    def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Prediction:
         """See ``Method``."""
         known = self._known(subjects)
         mean = torch.where(known > 0, self._albedo(subjects) / known.clamp_min(1), MEAN_ALBEDO)
@@ -111,10 +118,10 @@ def _scaled(albedo: Tensor) -> Tensor:
     return albedo * (MEAN_ALBEDO * (albedo > 0).sum() / albedo.sum().clamp_min(1e-9))
 
 
-def _lit(normal: Tensor, albedo: Tensor, images: Tensor, masks: Tensor) -> Answer:
-    light = fitted_light(normal, albedo, images, masks)
+def _lit(normal: Tensor, albedo: Tensor, images: Tensor, masks: Tensor) -> Prediction:
+    light = fit_light_to_images(normal, albedo, images, masks)
     albedo = albedo.expand_as(images)
-    return Answer(normal, albedo, light, albedo * shading(normal, light))
+    return Prediction(normal, albedo, light, albedo * shading(normal, light))
 
 
 Array = npt.NDArray[np.float64]
@@ -160,7 +167,7 @@ class ModelFit:
         """The method for images of one capture."""
         return _OneFace(self, capture)
 
-    def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Answer:
+    def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Prediction:
         """See ``Method``."""
         faces = [self._face(name) for name in subjects]
         normal = torch.from_numpy(np.array([face.normal for face in faces])).permute(0, 3, 1, 2).float()
@@ -169,7 +176,7 @@ class ModelFit:
             _light(face, picture, mask[0].double().numpy())
             for face, picture, mask in zip(faces, pictures, masks, strict=True)
         ]
-        return divided(normal, torch.from_numpy(np.array(lights)).float(), images)
+        return albedo_by_division(normal, torch.from_numpy(np.array(lights)).float(), images)
 
     def _face(self, name: str) -> _Fitted:
         if name not in self._fitted:
@@ -186,7 +193,7 @@ class _OneFace:
     def __init__(self, method: ModelFit, capture: str) -> None:
         self.method, self.capture = method, capture
 
-    def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Answer:
+    def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Prediction:
         return self.method(images, masks, [self.capture] * len(images))
 
 
@@ -228,7 +235,7 @@ class ShadingSearch:
     def __init__(self, options: IntrinsicOptions | None = None) -> None:
         self.options = options or IntrinsicOptions()
 
-    def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Answer:
+    def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Prediction:
         """See ``Method``."""
         found = solve_intrinsic(images, masks, self.options)
         size = images.shape[-1]
@@ -238,4 +245,4 @@ class ShadingSearch:
         weights = torch.tensor(LUMINANCE, dtype=images.dtype)[None, :, None, None]
         bright = (masks * images * weights).sum((1, 2, 3))
         level = bright / (0.5 * shown.clamp_min(1e-6))
-        return divided(normal, (found.light * level[:, None]).repeat(1, 3), images)
+        return albedo_by_division(normal, (found.light * level[:, None]).repeat(1, 3), images)

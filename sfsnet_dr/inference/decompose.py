@@ -16,8 +16,8 @@ from sfsnet_dr.core.errors import InputError, check_shape
 from sfsnet_dr.core.files import output_dir
 from sfsnet_dr.data.alignment import Eyes
 from sfsnet_dr.data.pseudo_labels import Values
-from sfsnet_dr.data.transforms.crop import WHOLE, View
-from sfsnet_dr.inference.methods import ask
+from sfsnet_dr.data.transforms.crop import WHOLE, Crop
+from sfsnet_dr.inference.methods import infer
 from sfsnet_dr.inference.outputs import Decomposition, write_decomposition
 from sfsnet_dr.inference.photograph import Photograph, align_photograph, read_photograph
 from sfsnet_dr.metrics.image import mae_8bit
@@ -182,7 +182,7 @@ def decompose_photographs(loaded: LoadedModel, photographs: Sequence[Photograph]
 
 
 def run_network(
-    model: nn.Module, photographs: Sequence[Photograph], *, view: View = WHOLE, values: Values = "linear"
+    model: nn.Module, photographs: Sequence[Photograph], *, view: Crop = WHOLE, values: Values = "linear"
 ) -> list[Decomposition]:
     """Run any network on photographs in the canonical frame; writes nothing.
 
@@ -195,7 +195,7 @@ def run_network(
     """
     images = torch.from_numpy(np.stack([np.moveaxis(each.image, -1, 0) for each in photographs])).float()
     masks = torch.from_numpy(np.stack([each.mask for each in photographs])).float()[:, None]
-    found, gain = ask(model, images, masks, view, values)
+    found, gain = infer(model, images, masks, view, values)
     normal, albedo, light = (part.double().numpy() for part in found)
     shade = shading(normal, light)
     image = albedo * shade if values == "linear" else srgb_to_linear(albedo * shade) / gain.double().numpy()

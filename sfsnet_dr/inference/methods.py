@@ -22,24 +22,24 @@ from sfsnet_dr.core.conventions import FACE_SIZE, LIGHT_ORDER
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.data.pseudo_labels import Values
 from sfsnet_dr.data.transforms.camera import metering_gain
-from sfsnet_dr.data.transforms.crop import View
+from sfsnet_dr.data.transforms.crop import Crop
 from sfsnet_dr.models.base import NetworkOutput
 from sfsnet_dr.models.inference import load_model, predict, predict_with_flip_tta
 from sfsnet_dr.render.shading_torch import shading, unit
 from sfsnet_dr.sh.basis_torch import sh_basis
 
 #: Pixels of the canonical frame over which one answer fades into the other, inside of the view.
-RIM: Final = 6
+BLEND_PX: Final = 6
 #: Greatest factor between the two albedos that is believed.
 _MOST: Final = 4.0
 
 
-def beyond(masks: Tensor, view: View) -> Tensor:
+def needs_wide_crop(masks: Tensor, view: Crop) -> Tensor:
     """Which of some masks (B, 1, H, W) reach out of the view, (B,) of bool."""
-    return ((masks > 0.5) & (view.covered(masks.shape[-1]).to(masks.device) < 0.5)).flatten(1).any(1)
+    return ((masks > 0.5) & (view.coverage(masks.shape[-1]).to(masks.device) < 0.5)).flatten(1).any(1)
 
 
-def joined(near: NetworkOutput, wide: NetworkOutput, masks: Tensor, view: View) -> NetworkOutput:
+def blend_crops(near: NetworkOutput, wide: NetworkOutput, masks: Tensor, view: Crop) -> NetworkOutput:
     """The answer for the view, and around it the answer for the whole frame.
 
     Args:
@@ -52,7 +52,7 @@ def joined(near: NetworkOutput, wide: NetworkOutput, masks: Tensor, view: View) 
         Unit normals and albedo; the light of ``near``.
     """
     share = _share(view, masks.shape[-1]).to(masks)
-    both = masks * view.covered(masks.shape[-1]).to(masks)
+    both = masks * view.coverage(masks.shape[-1]).to(masks)
     sums = [(both * part.albedo).flatten(1).sum(1).clamp_min(1e-6) for part in (near, wide)]
     factor = (sums[0] / sums[1]).clamp(1 / _MOST, _MOST)[:, None, None, None]
     return NetworkOutput(
@@ -62,11 +62,11 @@ def joined(near: NetworkOutput, wide: NetworkOutput, masks: Tensor, view: View) 
     )
 
 
-def _share(view: View, pixels: int) -> Tensor:
-    """(N, N): 1 within the view, 0 beyond it, falling over ``RIM`` pixels of the frame before its edges."""
+def _share(view: Crop, pixels: int) -> Tensor:
+    """Return (N, N): 1 within the view, 0 beyond it, falling over ``BLEND_PX`` pixels before its edges."""
     edge = view.crop / FACE_SIZE / 2
     place = ((torch.arange(pixels) + 0.5) / pixels - 0.5).abs()
-    ramp = ((edge - place) * FACE_SIZE / RIM).clamp(0, 1)
+    ramp = ((edge - place) * FACE_SIZE / BLEND_PX).clamp(0, 1)
     return ramp[:, None] * ramp[None, :]
 
 
@@ -74,7 +74,7 @@ def _share(view: View, pixels: int) -> Tensor:
 MEAN_ALBEDO: Final = 0.5
 
 
-class Answer(NamedTuple):
+class Prediction(NamedTuple):
     """What a method says about a batch.
 
     Args:
@@ -100,7 +100,7 @@ class Method(Protocol):
     def name(self) -> str:
         """A short word for records and tables."""
 
-    def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Answer:
+    def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Prediction:
         """Take faces apart.
 
         Args:
@@ -111,16 +111,16 @@ class Method(Protocol):
 
 
 @runtime_checkable
-class OfCapture(Protocol):
+class PerImageSet(Protocol):
     """A method that knows something of each capture (a face in one pose under several lights) beforehand."""
 
     def of_capture(self, capture: str) -> Method:
         """The method for images of one capture."""
 
 
-def for_capture(method: Method, capture: str) -> Method:
+def method_for_image_set(method: Method, capture: str) -> Method:
     """What to call for images of a capture; most methods are the same for all."""
-    return method.of_capture(capture) if isinstance(method, OfCapture) else method
+    return method.of_capture(capture) if isinstance(method, PerImageSet) else method
 
 
 class NetworkMethod:
@@ -129,7 +129,7 @@ class NetworkMethod:
     Args:
         name: see ``Method``.
         weights: its file, or the name of a shipped network.
-        once: see ``ask``.
+        once: see ``infer``.
 
     Raises:
         InputError: for unusable weights.
@@ -139,19 +139,19 @@ class NetworkMethod:
         self.name, self.once = name, once
         self.trained = load_model(weights)
 
-    def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Answer:
+    def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Prediction:
         """See ``Method``."""
         trained = self.trained
-        found, gain = ask(trained.model, images, masks, trained.view, trained.values, once=self.once)
+        found, gain = infer(trained.model, images, masks, trained.view, trained.values, once=self.once)
         normal, albedo, light = found
         image = albedo * shading(normal, light)
         if trained.values == "display":
             image, albedo = srgb_to_linear(image) / gain, srgb_to_linear(albedo.clamp_min(0))
-        return Answer(normal, albedo, light, image)
+        return Prediction(normal, albedo, light, image)
 
 
-def ask(
-    model: nn.Module, images: Tensor, masks: Tensor, view: View, values: Values, *, once: bool = False
+def infer(
+    model: nn.Module, images: Tensor, masks: Tensor, view: Crop, values: Values, *, once: bool = False
 ) -> tuple[NetworkOutput, Tensor]:
     """A network's answer at the resolution of the images, and the gains that it saw them with.
 
@@ -177,26 +177,26 @@ def ask(
     gain = metering_gain(images, masks)
     metered = images * gain
     found = _spread(model, metered, view, values, once)
-    rows = beyond(masks, view)
+    rows = needs_wide_crop(masks, view)
     if rows.any():
         wide = _spread(model, metered[rows], view._replace(crop=FACE_SIZE), values, once)
         near = NetworkOutput(*(part[rows] for part in found))
-        for part, whole in zip(found, joined(near, wide, masks[rows], view), strict=True):
+        for part, whole in zip(found, blend_crops(near, wide, masks[rows], view), strict=True):
             part[rows] = whole
     light = found.light / gain[:, :, 0, 0] if values == "linear" else found.light
     return NetworkOutput(found.normal, found.albedo, light), gain
 
 
-def _spread(model: nn.Module, images: Tensor, view: View, values: Values, once: bool) -> NetworkOutput:
+def _spread(model: nn.Module, images: Tensor, view: Crop, values: Values, once: bool) -> NetworkOutput:
     """Unit normals and albedo on the whole frame from a view of it; beyond the view the nearest answer."""
     try:
-        small = view.shown(images).clamp(0, 1)
+        small = view.apply(images).clamp(0, 1)
     except InputError as error:
         raise InputError(f"images: {error}, as the network was trained") from error
     answer = (predict if once else predict_with_flip_tta)(
         model, linear_to_srgb(small) if values == "display" else small
     )
-    normal, albedo = (view.spread(part, images.shape[-1]) for part in (answer.normal, answer.albedo))
+    normal, albedo = (view.invert(part, images.shape[-1]) for part in (answer.normal, answer.albedo))
     return NetworkOutput(unit(normal), albedo, answer.light)
 
 
@@ -205,27 +205,27 @@ class FlatNormals:
 
     name = "flat"
 
-    def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Answer:
+    def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Prediction:
         """See ``Method``."""
         normal = torch.zeros_like(images)
         normal[:, 2] = 1
-        return explained(normal, images, masks)
+        return fit_light_and_albedo(normal, images, masks)
 
 
-def explained(normal: Tensor, images: Tensor, masks: Tensor, ridge: float = 0.01) -> Answer:
+def fit_light_and_albedo(normal: Tensor, images: Tensor, masks: Tensor, ridge: float = 0.01) -> Prediction:
     """Light by least squares under a constant albedo, and the albedo that then explains each image.
 
     Args:
         normal: unit vectors, (B, 3, H, W).
         images: linear, (B, 3, H, W).
         masks: (B, 1, H, W); pixels that count.
-        ridge: see ``fitted_light``.
+        ridge: see ``fit_light_to_images``.
     """
     constant = torch.full_like(images[:, :1], MEAN_ALBEDO)
-    return divided(normal, fitted_light(normal, constant, images, masks, ridge), images)
+    return albedo_by_division(normal, fit_light_to_images(normal, constant, images, masks, ridge), images)
 
 
-def fitted_light(
+def fit_light_to_images(
     normal: Tensor, albedo: Tensor, images: Tensor, masks: Tensor, ridge: float = 0.01
 ) -> Tensor:
     """Light (B, 27) by least squares, for which albedo times shading is most like the images.
@@ -247,7 +247,7 @@ def fitted_light(
     return light.reshape(len(images), -1).float()
 
 
-def divided(normal: Tensor, light: Tensor, images: Tensor) -> Answer:
+def albedo_by_division(normal: Tensor, light: Tensor, images: Tensor) -> Prediction:
     """The albedo that explains images once normals and light are found: the image over the shading.
 
     Shading below a twentieth of the image's mean shading counts as that much: dark pixels say little.
@@ -255,4 +255,4 @@ def divided(normal: Tensor, light: Tensor, images: Tensor) -> Answer:
     shade = shading(normal, light)
     floor = 0.05 * shade.clamp_min(0).mean((1, 2, 3), keepdim=True) + 1e-6
     albedo = images / shade.clamp_min(0).maximum(floor)
-    return Answer(normal, albedo, light, albedo * shade, divided=True)
+    return Prediction(normal, albedo, light, albedo * shade, divided=True)

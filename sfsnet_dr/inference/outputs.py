@@ -22,7 +22,7 @@ from sfsnet_dr.core.image_io import write_exr, write_png
 from sfsnet_dr.core.visualize import Pixels, on_white, show_encoded, show_linear, show_normals
 from sfsnet_dr.data.pseudo_labels import Values
 from sfsnet_dr.inference.relight import VIEW_LIGHTS, relight, relit_views
-from sfsnet_dr.inference.sheet import sheet
+from sfsnet_dr.inference.sheet import draw_sheet
 from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.sh.coefficients import Shading
 
@@ -102,10 +102,10 @@ class Decomposition:
 
     def _repr_png_(self) -> bytes:
         """Input, maps and relit views with labels, for notebooks."""
-        return sheet(list(pictures(self).values()), title=self.name)
+        return draw_sheet(list(decomposition_pictures(self).values()), title=self.name)
 
 
-def pictures(face: Decomposition) -> dict[str, tuple[str, Pixels]]:
+def decomposition_pictures(face: Decomposition) -> dict[str, tuple[str, Pixels]]:
     """File stem -> (label, 8-bit picture), in reading order; white outside the mask, but for the input.
 
     Shading is divided by its largest value on the face if that is above 1, so that it does not burn out.
@@ -140,10 +140,10 @@ def write_decomposition(folder: Path | str, face: Decomposition, metadata: Mappi
     """
     target = Path(folder) / face.name
     with _whole_folder(target) as partial:
-        shown = pictures(face)
+        shown = decomposition_pictures(face)
         for stem, (_, picture) in shown.items():
             write_png(partial / f"{stem}.png", picture / 255.0, encoded=True)
-        (partial / _SHEET).write_bytes(sheet(list(shown.values()), title=face.name))
+        (partial / _SHEET).write_bytes(draw_sheet(list(shown.values()), title=face.name))
         light = json.dumps([float(value) for value in face.light.flat()])
         strings = {**metadata, "sfsnet_dr:light": light, "sfsnet_dr:values": face.values}
         write_exr(partial / _EXR, _channels(face), strings)

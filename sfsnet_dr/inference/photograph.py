@@ -11,7 +11,14 @@ from numpy.typing import NDArray
 from sfsnet_dr.core.conventions import FACE_SIZE
 from sfsnet_dr.core.errors import InputError, check_shape
 from sfsnet_dr.core.image_io import read_image
-from sfsnet_dr.data.alignment import Eyes, face_ellipse_mask, inside, read_eyes, side_file, to_canonical
+from sfsnet_dr.data.alignment import (
+    Eyes,
+    canonical_coverage,
+    face_ellipse_mask,
+    read_eyes,
+    side_file,
+    to_canonical,
+)
 
 Array = NDArray[np.float32]
 
@@ -117,7 +124,7 @@ def parse_eyes(name: str, text: str) -> Eyes:
 def _aligned(where: str, image: Array, eyes: Eyes) -> tuple[Array, Array]:
     """Return the image in the canonical frame, and the share of each pixel that it covers."""
     try:
-        return to_canonical(image, eyes), inside(image.shape[0], image.shape[1], eyes)
+        return to_canonical(image, eyes), canonical_coverage(image.shape[0], image.shape[1], eyes)
     except InputError as error:
         raise InputError(f"{where}: {error}") from error
 

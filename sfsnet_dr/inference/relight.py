@@ -22,7 +22,7 @@ VIEW_LIGHTS: Final[dict[str, tuple[float, float, float]]] = {
 }
 
 
-def directional(direction: tuple[float, float, float]) -> Shading:
+def directional_shading(direction: tuple[float, float, float]) -> Shading:
     """Order-2 shading of one white, infinitely distant light of irradiance pi.
 
     A surface that faces it has shading 17/16: order 2 overshoots the clamped cosine's 1 by a sixteenth.
@@ -50,4 +50,4 @@ def relight(normal: Array, albedo: Array, light: Shading) -> NDArray[np.float64]
 
 def relit_views(normal: Array, albedo: Array) -> dict[str, NDArray[np.float64]]:
     """The face lit from the image's left, its right and the top, one directional light each."""
-    return {name: relight(normal, albedo, directional(way)) for name, way in VIEW_LIGHTS.items()}
+    return {name: relight(normal, albedo, directional_shading(way)) for name, way in VIEW_LIGHTS.items()}

@@ -23,7 +23,7 @@ class SheetStyle:
     soft: str = "#5d666f"
 
 
-def sheet(
+def draw_sheet(
     pictures: Sequence[tuple[str, Pixels]],
     *,
     title: str = "",

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from sfsnet_dr.render.drjit_interop import first_order_only
-from sfsnet_dr.render.drjit_kernel import Call, Shaded, Signature, frozen, plain, unfolded
+from sfsnet_dr.render.drjit_kernel import Call, Shaded, Signature, freeze_kernel, strip_subclass, unfold_batch
 from sfsnet_dr.render.drjit_loop import Lanes, Source, real, sweep
 from sfsnet_dr.render.shading_numpy import COLOURS
 from sfsnet_dr.scene.jit import dr
@@ -30,7 +30,7 @@ def masked_l1_mean(
         expected: the gradient that is likely to arrive in the backward pass. The stored gradients hold this
             factor already; another one costs a pass over them.
     """
-    inputs = [plain(x) for x in (normal, albedo, light, image, mask)]
+    inputs = [strip_subclass(x) for x in (normal, albedo, light, image, mask)]
     return cast(Tensor, _MaskedL1.apply(*inputs, expected or 1.0))  # type: ignore[no-untyped-call]
 
 
@@ -90,7 +90,7 @@ def value_and_gradients(
 
 @functools.cache
 def _value_kernel(what: Signature) -> Callable[..., Any]:
-    @frozen
+    @freeze_kernel
     def kernel(lanes: Lanes, sources: list[Source], light: Source) -> list[Any]:
         coefficients, weight = what.load_light(lanes, light), _weight(sources[3])
 
@@ -112,7 +112,7 @@ def _value_kernel(what: Signature) -> Callable[..., Any]:
 
 @functools.cache
 def _gradient_kernel(what: Signature) -> Callable[..., Any]:
-    @frozen
+    @freeze_kernel
     def kernel(lanes: Lanes, sources: list[Source], light: Source, expected: Any, size: int) -> list[Any]:
         coefficients, weight = what.load_light(lanes, light), _weight(sources[3])
 
@@ -131,7 +131,7 @@ def _gradient_kernel(what: Signature) -> Callable[..., Any]:
             return [shaded.normal_gradient(), of_albedo], [total, *light_sums]
 
         def finish(sums: list[Any]) -> list[Any]:
-            return [sums[0] * weight, *unfolded(sums[1:])]
+            return [sums[0] * weight, *unfold_batch(sums[1:])]
 
         outputs = [(layout, size) for layout in what.layouts[:2]]
         sums = what.light_size + 1

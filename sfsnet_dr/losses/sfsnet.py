@@ -36,14 +36,14 @@ class LossWeights:
     light: float = 0.1
 
 
-class Share(NamedTuple):
+class BatchShare(NamedTuple):
     """What a process has of a batch that several share: of its mask's pixels, and of its images."""
 
     pixels: Tensor
     images: float
 
 
-class Trust(NamedTuple):
+class LabelConfidence(NamedTuple):
     """How far labels are trusted, 0 to 1.
 
     Args:
@@ -71,8 +71,8 @@ def sfsnet_loss(
     target: FaceBatch,
     weights: LossWeights | None = None,
     backend: Backend = "drjit",
-    trust: Trust | None = None,
-    share: Share | None = None,
+    trust: LabelConfidence | None = None,
+    share: BatchShare | None = None,
 ) -> LossTerms:
     """The paper's total loss, eq. 2, with its terms.
 
@@ -157,7 +157,7 @@ def mixed_loss(
     labelled_weights: LossWeights,
     real_weights: LossWeights,
     backend: Backend = "drjit",
-    shares: tuple[Share, Share] | None = None,
+    shares: tuple[BatchShare, BatchShare] | None = None,
 ) -> tuple[Tensor, LossTerms, LossTerms]:
     """The mean over all faces of a batch, each kind with weights of its own.
 
@@ -178,14 +178,14 @@ def mixed_loss(
     second = NetworkOutput(*(part[count:] for part in prediction))
     of_labelled, of_real = shares or (None, None)
     labelled_terms = sfsnet_loss(first, target.labelled, labelled_weights, backend, share=of_labelled)
-    labels = at_scale_of(second, target.real)
-    trust = Trust(target.real.confidence, light_trust(labels.light, target.real))
+    labels = match_albedo_scale(second, target.real)
+    trust = LabelConfidence(target.real.confidence, light_confidence(labels.light, target.real))
     real_terms = sfsnet_loss(second, labels, real_weights, backend, trust, of_real)
     total = (count * labelled_terms.total + real * real_terms.total) / (count + real)
     return total, labelled_terms, real_terms
 
 
-def at_scale_of(prediction: NetworkOutput, target: RealBatch) -> FaceBatch:
+def match_albedo_scale(prediction: NetworkOutput, target: RealBatch) -> FaceBatch:
     """The labels; where scale is free, albedo has the prediction's mean, and light the inverse factor.
 
     The mean is over the mask, weighted by confidence; the factor is at most 2 either way, for labels have the
@@ -202,7 +202,7 @@ def at_scale_of(prediction: NetworkOutput, target: RealBatch) -> FaceBatch:
     return real._replace(albedo=real.albedo * factor[:, None, None, None], light=real.light / factor[:, None])
 
 
-def light_trust(light: Tensor, target: RealBatch) -> Tensor:
+def light_confidence(light: Tensor, target: RealBatch) -> Tensor:
     """How far lights (B, 27) are trusted, (B,); where scale is free, less if their mean square is above 1.
 
     A lamp behind a face leaves its picture nearly black. What brings that into the range of usual exposures

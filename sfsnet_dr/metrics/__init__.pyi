@@ -1,10 +1,10 @@
 # The public names of ``sfsnet_dr.metrics`` and where they come from.
 from .bootstrap import Interval as Interval
-from .bootstrap import interval as interval
+from .bootstrap import bootstrap_interval as bootstrap_interval
 from .equivalence import Agreement as Agreement
 from .equivalence import Estimate as Estimate
-from .equivalence import agree as agree
-from .image import flip as flip
+from .equivalence import check_agreement as check_agreement
+from .image import flip_metric as flip_metric
 from .image import mae_8bit as mae_8bit
 from .image import psnr as psnr
 from .image import rel_rmse as rel_rmse

@@ -18,7 +18,7 @@ class Interval(NamedTuple):
     high: float
 
 
-def interval(
+def bootstrap_interval(
     values: npt.ArrayLike,
     statistic: Callable[[npt.NDArray[np.float64]], float] = lambda cases: float(np.mean(cases)),
     seed: int = 0,

@@ -88,7 +88,7 @@ def _fitted(packed: bytes, shape: tuple[int, int], simulations: int, seed: int) 
 KNOWN: Final = 1e6
 
 
-def moderated(variance: Array, freedom: float, expected: Array) -> tuple[Array, float]:
+def shrink_variance(variance: Array, freedom: float, expected: Array) -> tuple[Array, float]:
     """Blend variances with expected ones, as far as these are seen to hold.
 
     Args:

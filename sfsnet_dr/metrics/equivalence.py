@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sfsnet_dr.core.errors import InputError, check_shape
-from sfsnet_dr.metrics.clusters import KNOWN, cluster_noise, largest_cluster, moderated, noise_clusters
+from sfsnet_dr.metrics.clusters import KNOWN, cluster_noise, largest_cluster, noise_clusters, shrink_variance
 
 Array = npt.NDArray[np.float64]
 
@@ -58,13 +58,13 @@ class Estimate:
             raise InputError("variance: negative, or no degree of freedom, found")
 
 
-def exact(image: npt.ArrayLike) -> Estimate:
+def exact_estimate(image: npt.ArrayLike) -> Estimate:
     """An image (H, W, 3) without noise."""
     mean = np.asarray(image, dtype=np.float64)
     return Estimate(mean, np.zeros_like(mean))
 
 
-def from_seeds(images: Sequence[npt.ArrayLike]) -> Estimate:
+def estimate_from_seeds(images: Sequence[npt.ArrayLike]) -> Estimate:
     """The mean of images (H, W, 3) rendered with different seeds, its variance taken from their spread.
 
     Raises:
@@ -93,7 +93,7 @@ class Scale:
 
 @dataclass(frozen=True, eq=False)
 class Agreement:
-    """Outcome of ``agree``.
+    """Outcome of ``check_agreement``.
 
     Attributes:
         z: (H, W, 3) score of every pixel.
@@ -118,10 +118,12 @@ class Agreement:
 
     def p_among(self, tests: int) -> float:
         """Chance that any of so many pairs of equal images differs as much (Sidak)."""
-        return sidak(self.p, tests)
+        return sidak_threshold(self.p, tests)
 
 
-def agree(image: Estimate, reference: Estimate, *, allowance: npt.ArrayLike | float = 0.0) -> Agreement:
+def check_agreement(
+    image: Estimate, reference: Estimate, *, allowance: npt.ArrayLike | float = 0.0
+) -> Agreement:
     """Test whether an image and a reference have the same expectation.
 
     Noise is taken as independent between pixels: box filters on both sides.
@@ -148,10 +150,10 @@ def agree(image: Estimate, reference: Estimate, *, allowance: npt.ArrayLike | fl
         name = "picture" if block == longest else f"block of {block}"
         scales.append(_scale(name, _block_scores(image, steady, reference, raw, allowed, block)))
     smallest = min(scale.p for scale in scales)
-    return Agreement(z, tuple(scales), sidak(smallest, len(scales)))
+    return Agreement(z, tuple(scales), sidak_threshold(smallest, len(scales)))
 
 
-def sidak(p: float, tests: int) -> float:
+def sidak_threshold(p: float, tests: int) -> float:
     """Chance that the smallest of so many independent p-values is as small as p."""
     if p >= 1.0:
         return 1.0
@@ -177,7 +179,7 @@ def _moderated(image: Estimate, reference: Estimate) -> tuple[Array, float]:
     known = reference.variance if reference.variance.any() else image.variance
     around = np.maximum(uniform_filter(known, size=(3, 3, 1)), 0.0)
     expected = np.maximum(reference.variance, around)
-    return moderated(image.variance, image.freedom, expected)
+    return shrink_variance(image.variance, image.freedom, expected)
 
 
 def _block_scores(
@@ -210,7 +212,7 @@ def _as_z(difference: Array, variance: Array, freedom: Array) -> Array:
 
 def _scale(name: str, z: Array) -> Scale:
     worst = float(z.ravel()[np.abs(z).argmax()])
-    return Scale(name, worst, sidak(float(two_sided_p(np.asarray(abs(worst)))), z.size))
+    return Scale(name, worst, sidak_threshold(float(two_sided_p(np.asarray(abs(worst)))), z.size))
 
 
 def _cluster_scale(z: Array, noisy: npt.NDArray[np.bool_]) -> Scale:
@@ -219,7 +221,7 @@ def _cluster_scale(z: Array, noisy: npt.NDArray[np.bool_]) -> Scale:
     if not chosen.any():
         return Scale("cluster", 0.0, 1.0)
     sizes = [largest_cluster(z[..., colour], chosen) for colour in range(3)]
-    return Scale("cluster", float(max(sizes)), sidak(cluster_noise(chosen).p(max(sizes)), 3))
+    return Scale("cluster", float(max(sizes)), sidak_threshold(cluster_noise(chosen).p(max(sizes)), 3))
 
 
 def _shrunk(raw: Array, allowed: Array) -> Array:

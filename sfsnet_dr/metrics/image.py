@@ -93,7 +93,7 @@ def has_flip() -> bool:
     return find_spec("flip_evaluator") is not None
 
 
-def flip(image: npt.ArrayLike, reference: npt.ArrayLike, mask: npt.ArrayLike) -> float:
+def flip_metric(image: npt.ArrayLike, reference: npt.ArrayLike, mask: npt.ArrayLike) -> float:
     """Mean of the FLIP map over a mask, 0 (equal) to 1, for a viewer at 67 pixels a degree.
 
     What lies outside the mask is made equal in both images.

@@ -15,8 +15,8 @@ from torch import Tensor, nn
 from sfsnet_dr.core.conventions import FACE_SIZE
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.data.pseudo_labels import Values
-from sfsnet_dr.data.transforms.crop import View
-from sfsnet_dr.data.transforms.flip import flip_light, flip_map, flip_normal
+from sfsnet_dr.data.transforms.crop import Crop
+from sfsnet_dr.data.transforms.mirror import mirror_light, mirror_map, mirror_normal
 from sfsnet_dr.models.base import Network, NetworkOutput
 from sfsnet_dr.models.shipped import BEST
 from sfsnet_dr.models.weights import load_weights, read_metadata
@@ -50,7 +50,7 @@ def predict_with_flip_tta(model: nn.Module, images: Tensor, batch_size: int = 16
     not, the mean is nearer to the truth: README, "Real faces", tells by how much.
     """
     straight = predict(model, images, batch_size)
-    back = mirror_output(predict(model, flip_map(images), batch_size))
+    back = mirror_output(predict(model, mirror_map(images), batch_size))
     return NetworkOutput(
         unit(straight.normal + back.normal),
         (straight.albedo + back.albedo) / 2,
@@ -60,7 +60,7 @@ def predict_with_flip_tta(model: nn.Module, images: Tensor, batch_size: int = 16
 
 def mirror_output(answer: NetworkOutput) -> NetworkOutput:
     """The left-right reflection of an answer."""
-    return NetworkOutput(flip_normal(answer.normal), flip_map(answer.albedo), flip_light(answer.light))
+    return NetworkOutput(mirror_normal(answer.normal), mirror_map(answer.albedo), mirror_light(answer.light))
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ class LoadedModel:
     """
 
     model: Network
-    view: View
+    view: Crop
     values: Values
     metadata: dict[str, Any]
 
@@ -103,7 +103,7 @@ def load_model(weights: Path | str = BEST, *, device: torch.device | str = "cpu"
     metadata = read_metadata(weights)
     recipe = metadata.get("recipe", {})
     data = recipe.get("data", {})
-    view = View(int(data.get("size") or FACE_SIZE), int(data.get("crop") or FACE_SIZE))
+    view = Crop(int(data.get("size") or FACE_SIZE), int(data.get("crop") or FACE_SIZE))
     if not 1 <= view.size <= view.crop <= FACE_SIZE:
         raise InputError(
             f"{weights}: trained on {view.crop} of the frame's {FACE_SIZE} pixels shown with {view.size}, no "

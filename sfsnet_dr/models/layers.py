@@ -101,7 +101,7 @@ def to_light(features: Tensor, out: nn.Linear) -> Tensor:
     return light
 
 
-def initialise(network: nn.Module, slope: float = 0.0) -> None:
+def initialise_weights(network: nn.Module, slope: float = 0.0) -> None:
     """Convolutions after He et al. 2015, which keeps the variance through (leaky) ReLU layers; biases zero.
 
     A transposed convolution of stride s adds up inputs k^2 / s^2 numbers for one output.

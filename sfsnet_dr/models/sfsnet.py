@@ -13,7 +13,7 @@ from sfsnet_dr.models.layers import (
     MapHead,
     conv,
     conv_bn_relu,
-    initialise,
+    initialise_weights,
     residual_stage,
     to_light,
     unit_normal,
@@ -50,7 +50,7 @@ class SfSNet(Network):
         self.albedo_head = MapHead(features, stem)
         self.light_features = conv_bn_relu(3 * features, features, 1)
         self.light_out = nn.Linear(features, LIGHT_SIZE)
-        initialise(self)
+        initialise_weights(self)
 
     def forward(self, image: Tensor) -> NetworkOutput:
         """See ``Network``; sizes are even."""

@@ -26,7 +26,7 @@ from torch import Tensor, nn
 from sfsnet_dr.core.conventions import FACE_SIZE, LIGHT_SIZE
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.models.base import Network, NetworkOutput
-from sfsnet_dr.models.layers import conv, initialise, to_light, to_map, unit_normal
+from sfsnet_dr.models.layers import conv, initialise_weights, to_light, to_map, unit_normal
 
 #: Five layers of stride 2 lie between an image and the innermost response.
 REDUCTION: Final = 32
@@ -62,7 +62,7 @@ class SkipNet(Network):
         self.normal_decoder = Decoder(self.features, channels, slope)
         self.albedo_decoder = Decoder(self.features, channels, slope)
         self.light_out = nn.Linear(self.features, LIGHT_SIZE)
-        initialise(self, slope)
+        initialise_weights(self, slope)
 
     def forward(self, image: Tensor) -> NetworkOutput:
         """See ``Network``; images have the size that the network was made for."""
@@ -118,7 +118,7 @@ class SkipNetPlus(Network):
         self.normal_decoder = Decoder(channels[-1], channels, slope)
         self.albedo_decoder = Decoder(channels[-1], channels, slope)
         self.light_out = nn.Linear(channels[-1], LIGHT_SIZE)
-        initialise(self, slope)
+        initialise_weights(self, slope)
 
     def forward(self, image: Tensor) -> NetworkOutput:
         """See ``Network``."""

@@ -75,7 +75,7 @@ VERSION: Final = 1
 HEADER: Final = "sfsnet_dr"
 
 
-def settings(architecture: str) -> dict[str, int]:
+def network_settings(architecture: str) -> dict[str, int]:
     """The settings that an architecture has, with their defaults: the paper's.
 
     Raises:
@@ -87,13 +87,13 @@ def settings(architecture: str) -> dict[str, int]:
     return {name: parameter.default for name, parameter in parameters.items()}
 
 
-def build(architecture: str, config: Mapping[str, int]) -> Network:
+def build_network(architecture: str, config: Mapping[str, int]) -> Network:
     """A freshly initialised network by name.
 
     Raises:
         InputError: for an unknown name or an unknown configuration key.
     """
-    known = settings(architecture)
+    known = network_settings(architecture)
     for key in config:
         if key not in known:
             raise InputError(f"{architecture} configuration: unknown key {key!r}; {nearest(key, known)}")
@@ -187,7 +187,7 @@ def _read(path: Path, header_only: bool = False) -> tuple[dict[str, Any], dict[s
 
 def _fitting(path: Path, header: dict[str, Any]) -> Network:
     try:
-        return build(header["architecture"], header["config"])
+        return build_network(header["architecture"], header["config"])
     except InputError as error:
         raise InputError(f"{path}: weights of another network: {error}") from error
 

@@ -18,7 +18,7 @@ from sfsnet_dr.core.errors import InputError, check_shape
 from sfsnet_dr.core.visualize import on_white, png_bytes, show_encoded, show_linear, show_normals
 from sfsnet_dr.render import transport
 from sfsnet_dr.render.sobol import Points, Sampler, check_samples
-from sfsnet_dr.scene.jit import dr, mi, upload
+from sfsnet_dr.scene.jit import dr, mi, upload_array
 from sfsnet_dr.scene.mesh import FACE_REGIONS, NO_REGION
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene, camera_rays
 
@@ -114,7 +114,7 @@ def render_aovs(
     pixels = covered_pixels(scene)
     stage = _stage(scene, pixels, samples, seed, options, toward)
     sizes = stage.sizes()
-    values = _to_images(transport.trace(stage), pixels, scene.camera.size)
+    values = _to_images(transport.trace_transport(stage), pixels, scene.camera.size)
     parts = dict(zip(sizes, np.split(values, np.cumsum([*sizes.values()])[:-1]), strict=True))
     return TransportMaps(
         **_maps(np.moveaxis(parts["maps"], 0, -1).astype(np.float64) / samples),
@@ -128,7 +128,7 @@ def render_aovs(
 def _stage(
     scene: SurfaceScene, pixels: Indices, samples: int, seed: int, options: TransportOptions, toward: Array
 ) -> transport.TransportKernel:
-    pixel = upload(mi.UInt32, pixels)
+    pixel = upload_array(mi.UInt32, pixels)
     state = int(np.random.SeedSequence(seed).generate_state(1)[0])
     return transport.TransportKernel(
         scene,
@@ -159,7 +159,7 @@ def covered_pixels(scene: SurfaceScene) -> Indices:
     """Numbers of the pixels in which, or next to which, one of 4 x 4 rays hits; neighbours together."""
     size = scene.camera.size
     shifts = (np.arange(4) + 0.5) / 4
-    pixel = upload(mi.UInt32, _by_tiles(size))
+    pixel = upload_array(mi.UInt32, _by_tiles(size))
     hits = mi.Bool(False)
     for x, y in itertools.product(shifts, shifts):
         ray = camera_rays(scene.camera, pixel, mi.Point2f(float(x), float(y)))

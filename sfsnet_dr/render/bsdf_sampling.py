@@ -12,7 +12,7 @@ from functools import cache
 import numpy as np
 
 from sfsnet_dr.scene.bsdf import DULL_ALPHA, NODES, SHINY_ALPHA, kernels, nodes, relative_ior
-from sfsnet_dr.scene.jit import dr, mi, upload
+from sfsnet_dr.scene.jit import dr, mi, upload_array
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
 from sfsnet_dr.sh.kernel import clamped_cosine
 
@@ -106,7 +106,7 @@ class Scatter:
         return facets.eval(half) * facets.G(self._wi, toward, half)
 
 
-def prepare() -> None:
+def prepare_scatter() -> None:
     """Read off Mitsuba's BSDF what is needed for gloss. Has to happen once, outside all symbolic loops."""
     relative_ior()
     kernels()
@@ -117,7 +117,7 @@ def prepare() -> None:
 def _table() -> mi.Float:
     """``scene.interface.nodes`` in memory: each node with the next one, so that one load brings a line."""
     values = np.concatenate([nodes()[:-1], nodes()[1:]], axis=1)
-    return upload(mi.Float, values)
+    return upload_array(mi.Float, values)
 
 
 def _transmittance(cosine: mi.Float) -> mi.Vector2f:

@@ -125,7 +125,7 @@ def kernels_compiled(call: Callable[[], Any]) -> int:
     return sum(not entry.get("cache_hit", True) or bool(entry.get("cache_disk")) for entry in history)
 
 
-def planes(tensor: Any) -> list[Any]:
+def torch_planes(tensor: Any) -> list[Any]:
     """Split a Dr.Jit tensor (B, C, H, W) into C planes of B * H * W entries.
 
     Convention: entry b * H * W + i * W + j of a plane is pixel (i, j) of image b.
@@ -139,7 +139,7 @@ def planes(tensor: Any) -> list[Any]:
 
 
 def from_planes(values: list[Any], shape: tuple[int, int, int, int]) -> Any:
-    """The inverse of ``planes``: a Dr.Jit tensor of ``shape`` (B, C, H, W) from C planes."""
+    """The inverse of ``torch_planes``: a Dr.Jit tensor of ``shape`` (B, C, H, W) from C planes."""
     batch, channels, height, width = shape
     kind = type(values[0])
     first, step = _addresses(kind, batch, channels, height * width)
@@ -150,7 +150,7 @@ def from_planes(values: list[Any], shape: tuple[int, int, int, int]) -> Any:
     return tensor(array, shape)
 
 
-def spread(tensor: Any, pixels: int) -> list[Any]:
+def spread_values(tensor: Any, pixels: int) -> list[Any]:
     """Split a Dr.Jit tensor (B, N) into N planes that are constant over each image of ``pixels`` pixels."""
     return list(dr.custom(_Spread, tensor.array, int(tensor.shape[1]), pixels))
 
@@ -212,7 +212,7 @@ class Layout(NamedTuple):
     interleaved: bool
 
 
-class View(NamedTuple):
+class MemoryLayout(NamedTuple):
     """The memory of a (B, C, H, W) tensor.
 
     Attributes:
@@ -229,7 +229,7 @@ class View(NamedTuple):
 
 
 @functools.cache
-def types(device: str, dtype: torch.dtype) -> Types:
+def types_of(device: str, dtype: torch.dtype) -> Types:
     """Dr.Jit's types for tensors of a device type and a dtype.
 
     Raises:
@@ -252,7 +252,7 @@ def packet_size(pixels: int, largest: int = PACKET) -> int:
     return largest if pixels % largest == 0 else 1
 
 
-def view(tensor: Tensor, packet: int, *, dense: bool = False) -> View:
+def make_view(tensor: Tensor, packet: int, *, dense: bool = False) -> MemoryLayout:
     """Look at a tensor (B, C, H, W) as packets, copying it only if they do not fit its memory.
 
     Args:
@@ -268,7 +268,7 @@ def view(tensor: Tensor, packet: int, *, dense: bool = False) -> View:
     return found
 
 
-def shaped(layout: Layout, flat: Tensor, shape: tuple[int, ...]) -> Tensor:
+def reshape_output(layout: Layout, flat: Tensor, shape: tuple[int, ...]) -> Tensor:
     """A dense flat tensor as (B, C, H, W) with its channels laid out so."""
     batch, channels, height, width = shape
     if layout.interleaved:
@@ -288,7 +288,7 @@ def to_torch(array: Any) -> Tensor:
     return tensor
 
 
-def _view(tensor: Tensor, packet: int) -> View | None:
+def _view(tensor: Tensor, packet: int) -> MemoryLayout | None:
     batch, channels, height, width = tensor.shape
     pixels = height * width
     image, channel, row, column = tensor.stride()
@@ -305,4 +305,4 @@ def _view(tensor: Tensor, packet: int) -> View | None:
     if tensor.data_ptr() % ALIGNMENT or span > MAX_ELEMENTS:
         return None
     flat = tensor.as_strided((span,), (1,))
-    return View(flat, layout, image // packet, 0 if layout.interleaved else channel // packet)
+    return MemoryLayout(flat, layout, image // packet, 0 if layout.interleaved else channel // packet)

@@ -26,12 +26,12 @@ from sfsnet_dr.render.drjit_interop import (
     PACKET,
     Layout,
     Types,
+    make_view,
     packet_size,
-    shaped,
+    reshape_output,
     to_drjit,
     to_torch,
-    types,
-    view,
+    types_of,
 )
 from sfsnet_dr.render.drjit_loop import GROUP, RUN, Lanes, Source, Structure, lanes, row_length
 from sfsnet_dr.render.shading_numpy import COLOURS
@@ -42,7 +42,7 @@ from sfsnet_dr.sh.polynomials import CONSTANT, Evaluator, basis_functions
 _LONG = ((1e36, 1e-20), (1e300, 1e-155))
 
 
-def folded(light: Sequence[Any]) -> list[Any]:
+def fold_batch(light: Sequence[Any]) -> list[Any]:
     """Light with the scales of the basis in it: 3K numbers, K of red, of green and of blue."""
     return [value * scale for value, scale in zip(light, _scales(len(light)), strict=True)]
 
@@ -55,7 +55,7 @@ class Shaded:
     """
 
     def __init__(self, normal: Sequence[Any], light: Sequence[Any]) -> None:
-        """Normal: x, y, z of any length; light: ``folded``."""
+        """Normal: x, y, z of any length; light: ``fold_batch``."""
         self._order = math.isqrt(len(light) // COLOURS) - 1
         self._count = len(light) // COLOURS
         self._light = light
@@ -126,7 +126,7 @@ class Shaded:
         return product if coefficient > 0 else -product
 
 
-def unfolded(sums: Sequence[Any]) -> list[Any]:
+def unfold_batch(sums: Sequence[Any]) -> list[Any]:
     """Gradients by the light itself from gradients by the folded one."""
     return [value * scale for value, scale in zip(sums, _scales(len(sums)), strict=True)]
 
@@ -165,7 +165,9 @@ class Signature(NamedTuple):
     def load_light(self, lanes: Lanes, light: Source) -> list[Any]:
         """In a kernel: the folded light of each lane's image."""
         first = lanes.image * light.image_step
-        return folded([dr.gather(self.kinds.value, light.values, first + k) for k in range(self.light_size)])
+        return fold_batch(
+            [dr.gather(self.kinds.value, light.values, first + k) for k in range(self.light_size)]
+        )
 
     def reads(self, sources: Sequence[Source]) -> list[tuple[Layout, Source]]:
         """In a kernel: its sources with their layouts."""
@@ -194,8 +196,8 @@ class Call:
         first = images[0]
         self._shape, self._images, self._run = tuple(first.shape), images, run
         pixels = first.shape[2] * first.shape[3]
-        kinds, packet = types(first.device.type, first.dtype), packet_size(pixels, packet)
-        views = [view(x, packet, dense=k >= len(images) - dense) for k, x in enumerate(images)]
+        kinds, packet = types_of(first.device.type, first.dtype), packet_size(pixels, packet)
+        views = [make_view(x, packet, dense=k >= len(images) - dense) for k, x in enumerate(images)]
         self.signature = Signature(kinds, packet, light.shape[1], tuple(v.layout for v in views))
         one, light_step = _light(light)
         flat = [*(v.values for v in views), one]
@@ -214,7 +216,7 @@ class Call:
         """Run ``kernel(lanes, sources, light, *arguments)`` to its end, from any thread.
 
         Args:
-            kernel: ``frozen``, returns a list of arrays.
+            kernel: ``freeze_kernel``, returns a list of arrays.
             sums: how many numbers it sums over each image.
         """
         structure = self._structure._replace(sums=sums)
@@ -229,14 +231,14 @@ class Call:
 
     def image(self, like: int, array: Any) -> Tensor:
         """A result as (B, C, H, W), in the layout of one of the images."""
-        return shaped(self.signature.layouts[like], to_torch(array), self._shape)
+        return reshape_output(self.signature.layouts[like], to_torch(array), self._shape)
 
     def per_image(self, sums: Any, count: int) -> Tensor:
         """What the kernel summed, (B, count)."""
         return to_torch(sums).view(self._shape[0], GROUP, row_length(count)).sum(1)[:, :count]
 
 
-def frozen(kernel: Callable[..., list[Any]]) -> Callable[..., list[Any]]:
+def freeze_kernel(kernel: Callable[..., list[Any]]) -> Callable[..., list[Any]]:
     """Record a kernel's launches once for each structure of a call, and replay them afterwards.
 
     Args:
@@ -275,6 +277,6 @@ def _no_collection() -> Iterator[None]:
             gc.enable()
 
 
-def plain(x: Tensor) -> Tensor:
+def strip_subclass(x: Tensor) -> Tensor:
     """A parameter or another subclass as what it is in memory, differentiably."""
     return x if type(x) is Tensor else x.as_subclass(Tensor)

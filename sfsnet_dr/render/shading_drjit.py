@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from sfsnet_dr.render.drjit_interop import first_order_only
-from sfsnet_dr.render.drjit_kernel import Call, Shaded, Signature, frozen, plain, unfolded
+from sfsnet_dr.render.drjit_kernel import Call, Shaded, Signature, freeze_kernel, strip_subclass, unfold_batch
 from sfsnet_dr.render.drjit_loop import Lanes, Source, sweep
 from sfsnet_dr.render.shading_numpy import COLOURS
 from sfsnet_dr.render.shading_torch import match, match_shading
@@ -40,7 +40,7 @@ def shading(normal: Tensor, light: Tensor) -> Tensor:
         InputError: naming the argument whose shape does not fit, or a tensor on another device.
     """
     normal, light = match_shading(normal, light)
-    return cast(Tensor, _Render.apply(plain(normal), None, plain(light)))  # type: ignore[no-untyped-call]
+    return cast(Tensor, _Render.apply(strip_subclass(normal), None, strip_subclass(light)))  # type: ignore[no-untyped-call]
 
 
 def f_render(normal: Tensor, albedo: Tensor, light: Tensor) -> Tensor:
@@ -58,7 +58,7 @@ def f_render(normal: Tensor, albedo: Tensor, light: Tensor) -> Tensor:
     Raises:
         InputError: naming the argument whose shape does not fit, or a tensor on another device.
     """
-    inputs = [plain(x) for x in match(normal, albedo, light)]
+    inputs = [strip_subclass(x) for x in match(normal, albedo, light)]
     return cast(Tensor, _Render.apply(*inputs))  # type: ignore[no-untyped-call]
 
 
@@ -77,7 +77,7 @@ class _Render(torch.autograd.Function):
         first_order_only()
         normal, albedo, light = ctx.saved_tensors
         images = [normal] if albedo is None else [normal, albedo]
-        call = Call([*images, plain(upstream[0])], light)
+        call = Call([*images, strip_subclass(upstream[0])], light)
         *arrays, sums = call.launch(_backward(call.signature), light.shape[1], normal.numel())
         grads = [call.image(k, array) for k, array in enumerate(arrays)]
         return grads[0], (None if albedo is None else grads[1]), call.per_image(sums, light.shape[1])
@@ -85,7 +85,7 @@ class _Render(torch.autograd.Function):
 
 @functools.cache
 def _forward(what: Signature) -> Callable[..., Any]:
-    @frozen
+    @freeze_kernel
     def kernel(lanes: Lanes, sources: list[Source], light: Source, size: int) -> list[Any]:
         coefficients = what.load_light(lanes, light)
 
@@ -105,7 +105,7 @@ def _forward(what: Signature) -> Callable[..., Any]:
 
 @functools.cache
 def _backward(what: Signature) -> Callable[..., Any]:
-    @frozen
+    @freeze_kernel
     def kernel(lanes: Lanes, sources: list[Source], light: Source, size: int) -> list[Any]:
         coefficients = what.load_light(lanes, light)
 
@@ -122,7 +122,9 @@ def _backward(what: Signature) -> Callable[..., Any]:
 
         outputs = [(layout, size) for layout in what.layouts[:-1]]
         reads = what.reads(sources)
-        arrays, sums = sweep(what.kinds, what.packet, lanes, reads, outputs, what.light_size, pixel, unfolded)
+        arrays, sums = sweep(
+            what.kinds, what.packet, lanes, reads, outputs, what.light_size, pixel, unfold_batch
+        )
         return [*arrays, sums]
 
     return kernel

@@ -15,7 +15,7 @@ from typing import Any
 from torch import Tensor
 
 from sfsnet_dr.core.conventions import NORMAL_EPSILON
-from sfsnet_dr.render.drjit_interop import from_planes, from_torch, planes, spread
+from sfsnet_dr.render.drjit_interop import from_planes, from_torch, spread_values, torch_planes
 from sfsnet_dr.render.shading_numpy import COLOURS
 from sfsnet_dr.render.shading_torch import match, match_shading
 from sfsnet_dr.scene.jit import dr
@@ -84,13 +84,13 @@ def render_planes(normal: list[Any], albedo: list[Any], light: list[Any]) -> lis
 
 def _shading_kernel(normal: Any, light: Any) -> Any:
     batch, channels, height, width = normal.shape
-    values = shading_planes(planes(normal), spread(light, height * width))
+    values = shading_planes(torch_planes(normal), spread_values(light, height * width))
     return from_planes(values, (batch, channels, height, width))
 
 
 def _render_kernel(normal: Any, albedo: Any, light: Any) -> Any:
     batch, channels, height, width = normal.shape
-    values = render_planes(planes(normal), planes(albedo), spread(light, height * width))
+    values = render_planes(torch_planes(normal), torch_planes(albedo), spread_values(light, height * width))
     return from_planes(values, (batch, channels, height, width))
 
 

@@ -19,9 +19,9 @@ from typing import Final, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from sfsnet_dr.render.bsdf_sampling import Scatter, prepare
+from sfsnet_dr.render.bsdf_sampling import Scatter, prepare_scatter
 from sfsnet_dr.render.sobol import Points
-from sfsnet_dr.scene.jit import dr, mi, upload
+from sfsnet_dr.scene.jit import dr, mi, upload_array
 from sfsnet_dr.scene.mesh import Region
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene, camera_rays
 from sfsnet_dr.sh.kernel import band_of
@@ -65,12 +65,15 @@ class TransportKernel:
         gloss_order: int,
         bounces: int,
     ) -> None:
-        prepare()
+        prepare_scatter()
         self.scene, self.pixel, self.points = scene, pixel, points
         self.samples, self.paths = samples, paths
         self.sample_count, self.path_count = dr.opaque(mi.UInt32, samples), dr.opaque(mi.UInt32, paths)
         self.total = dr.opaque(mi.UInt32, samples * paths)
-        self.lamps, self.lamp_count = mi.Vector3f(*(upload(mi.Float, axis) for axis in lamps.T)), len(lamps)
+        self.lamps, self.lamp_count = (
+            mi.Vector3f(*(upload_array(mi.Float, axis) for axis in lamps.T)),
+            len(lamps),
+        )
         self.order, self.gloss_order, self.bounces = order, gloss_order, bounces
 
     def sizes(self) -> dict[str, int]:
@@ -85,7 +88,7 @@ class TransportKernel:
 
 
 @dr.syntax
-def trace(stage: TransportKernel) -> mi.ArrayXf:
+def trace_transport(stage: TransportKernel) -> mi.ArrayXf:
     """All values of all pixels, (values, lanes), in one symbolic loop over the samples."""
     # A block of its own: constants that an earlier block left alive would move in the code, and its kernel
     # would be another.

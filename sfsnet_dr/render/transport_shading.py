@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sfsnet_dr.core.errors import InputError, check_shape
-from sfsnet_dr.scene.lights.light import NEAR, Light
+from sfsnet_dr.scene.lights.light import SNAP_DEG, Light
 from sfsnet_dr.sh.coefficients import Radiance
 from sfsnet_dr.sh.kernel import order_of
 from sfsnet_dr.sh.projection import project_directional
@@ -103,7 +103,7 @@ class Transport:
     def relight(self, light: Light) -> Array:
         """Return the linear image (H, W, 3) under a light, not clamped.
 
-        Directional lights within ``NEAR`` degrees of one of ``directions`` cast hard shadows; others are
+        Directional lights within ``SNAP_DEG`` degrees of one of ``directions`` cast hard shadows; others are
         softened as by thin cloud (``Light.softened``), for coefficients cannot hold them.
         """
         weights = response_weights(
@@ -115,8 +115,8 @@ class Transport:
 def response_weights(light: Light, directions: Array, order: int) -> ResponseWeights:
     """Split a light over the responses of a face.
 
-    Directional lights within ``NEAR`` degrees of a direction go to the response of the nearest one, sharp as
-    it is; others go with the map into the coefficients, which smear them and their shadows. Give
+    Directional lights within ``SNAP_DEG`` degrees of a direction go to the response of the nearest one, sharp
+    as it is; others go with the map into the coefficients, which smear them and their shadows. Give
     ``sample_scene_light`` the same directions, and strong lights fit.
 
     Args:
@@ -129,7 +129,7 @@ def response_weights(light: Light, directions: Array, order: int) -> ResponseWei
     irradiance = np.zeros((len(directions), 3))
     for toward, power in light.directional:
         cosines = directions @ toward
-        if len(cosines) and cosines.max() >= np.cos(np.radians(NEAR)):
+        if len(cosines) and cosines.max() >= np.cos(np.radians(SNAP_DEG)):
             irradiance[cosines.argmax()] += power
         else:
             radiance = radiance + project_directional(toward, power, order)
@@ -267,13 +267,14 @@ class DrjitTransport:
     """
 
     def __init__(self, transport: Floats, gloss: Floats | None = None) -> None:
-        from sfsnet_dr.scene.jit import mi, upload
+        from sfsnet_dr.scene.jit import mi, upload_array
 
         self.shape = transport.shape[1:]
         self.responses = [
-            mi.Color3f(*(upload(mi.Float, response[..., c]) for c in range(3))) for response in transport
+            mi.Color3f(*(upload_array(mi.Float, response[..., c]) for c in range(3)))
+            for response in transport
         ]
-        self.gloss = [upload(mi.Float, response) for response in (() if gloss is None else gloss)]
+        self.gloss = [upload_array(mi.Float, response) for response in (() if gloss is None else gloss)]
 
     def relight(self, radiance: Array) -> NDArray[np.float32]:
         """Return the image (H, W, 3) under coefficients (K', 3), K' <= K, by one kernel for every light."""

@@ -20,14 +20,14 @@ from rich.text import Text
 from sfsnet_dr.report.record import Record
 
 
-def lines(records: Sequence[Record]) -> list[str]:
+def record_lines(records: Sequence[Record]) -> list[str]:
     """One line a record: name, value, unit and interval, in columns."""
     width = max((len(record.what) for record in records), default=0)
     return [_line(record, width) for record in records]
 
 
 @contextmanager
-def bar(what: str, total: int, done: int = 0) -> Iterator[Callable[[], None]]:
+def progress_bar(what: str, total: int, done: int = 0) -> Iterator[Callable[[], None]]:
     """A progress bar on standard error with rate and time left; call what it gives once for each step."""
     what_column, rest = TextColumn("{task.description}"), (_Rate(), TimeRemainingColumn())
     with Progress(

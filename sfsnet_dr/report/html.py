@@ -121,7 +121,7 @@ class Section:
         return re.sub(r"[^a-z0-9]+", "-", self.heading.lower()).strip("-")
 
 
-def page(title: str, lead: str, sections: Sequence[Section], *, footer: str = "") -> str:
+def render_page(title: str, lead: str, sections: Sequence[Section], *, footer: str = "") -> str:
     """The page as HTML text.
 
     Args:
@@ -151,8 +151,8 @@ def page(title: str, lead: str, sections: Sequence[Section], *, footer: str = ""
 def write_page(
     path: Path | str, title: str, lead: str, sections: Sequence[Section], *, footer: str = ""
 ) -> None:
-    """Write ``page`` as a whole file."""
-    files.write_text(path, page(title, lead, sections, footer=footer))
+    """Write ``render_page`` as a whole file."""
+    files.write_text(path, render_page(title, lead, sections, footer=footer))
 
 
 def _prose(text: str) -> Markup:

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
-from sfsnet_dr.report.plots import INK, SOFT, STYLE, png
+from sfsnet_dr.report.plots import INK, SOFT, STYLE, figure_png
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ class Panel:
     label: str = ""
 
 
-def panels(row: Sequence[Panel]) -> bytes:
+def draw_panels(row: Sequence[Panel]) -> bytes:
     """Pictures side by side, all of one height."""
     with matplotlib.rc_context(STYLE | {"axes.grid": False}):
         widths = [panel.picture.shape[1] / panel.picture.shape[0] for panel in row]
@@ -57,10 +57,10 @@ def panels(row: Sequence[Panel]) -> bytes:
                 bar = figure.colorbar(drawn, ax=place, fraction=0.046, pad=0.03, extend="both")
                 bar.outline.set_visible(False)
                 bar.set_label(panel.label, size=9)
-        return png(figure)
+        return figure_png(figure)
 
 
-def hemispheres(
+def draw_hemispheres(
     values: Array, directions: Array, *, label: str, limit: float, mark: Array | None = None
 ) -> bytes:
     """Values of directions on two disks: those before the subject and those behind it.
@@ -100,7 +100,7 @@ def hemispheres(
         bar = figure.colorbar(drawn, ax=list(axes), fraction=0.03, pad=0.02, extend="max")
         bar.outline.set_visible(False)
         bar.set_label(label)
-        return png(figure)
+        return figure_png(figure)
 
 
 def _row(widths: Sequence[float], height: float) -> tuple[Any, Any]:

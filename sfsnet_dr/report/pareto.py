@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
-from sfsnet_dr.report.plots import INK, PALETTE, SOFT, STYLE, plain_log, png, spread
+from sfsnet_dr.report.plots import INK, PALETTE, SOFT, STYLE, figure_png, plain_log, spread_labels
 
 #: From a label's left end to its point.
 _LEADER = {"arrowstyle": "-", "linewidth": 0.6, "shrinkA": 1, "shrinkB": 4, "relpos": (0.0, 0.5)}
@@ -67,10 +67,10 @@ def pareto_plot(
         figure.legend(
             handles=list(handles.values()), loc="outside lower center", ncols=3, frameon=False, fontsize=10
         )
-        return png(figure)
+        return figure_png(figure)
 
 
-def front(points: Sequence[TimedError]) -> list[TimedError]:
+def pareto_front(points: Sequence[TimedError]) -> list[TimedError]:
     """The points that no other one beats in time and in error, by time."""
     best: list[TimedError] = []
     for point in sorted(points, key=lambda point: (point.seconds, point.error)):
@@ -83,7 +83,7 @@ def _panel(axis: Any, title: str, points: list[TimedError], colours: Mapping[str
     axis.set_xscale("log")
     axis.set_yscale("log")
     axis.set_title(title, fontsize=11, color=INK)
-    steps = front(points)
+    steps = pareto_front(points)
     axis.step(
         [point.seconds for point in steps], [point.error for point in steps], where="post", color=SOFT,
         linewidth=1.0, linestyle=(0, (4, 3)), zorder=1, label="front: nothing is better in both",
@@ -111,7 +111,7 @@ def _labels(axis: Any, colours: Mapping[str, str]) -> None:
     ]
     for column in (False, True):  # the left and the right half are kept apart each by itself
         chosen = [k for k, (x, _) in enumerate(places) if (x > 0.5) == column]
-        heights = spread([float(places[k][1]) for k in chosen], 0.045)
+        heights = spread_labels([float(places[k][1]) for k in chosen], 0.045)
         right = max((float(places[k][0]) for k in chosen), default=0.0)
         halo = [withStroke(linewidth=3, foreground="white")]  # the front may run behind a label
         for k, height in zip(chosen, heights, strict=True):

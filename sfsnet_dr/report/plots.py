@@ -66,10 +66,10 @@ def loss_curve(steps: Sequence[int], terms: Mapping[str, Sequence[float]], *, wi
         axes.set_ylabel("loss")
         plain_log(axes.yaxis, "{:g}".format)
         _label_ends(axes, ends)
-        return png(figure)
+        return figure_png(figure)
 
 
-def histogram(values: Sequence[float], *, label: str, bins: Sequence[float], counted: str) -> bytes:
+def draw_histogram(values: Sequence[float], *, label: str, bins: Sequence[float], counted: str) -> bytes:
     """Bars of how many values fall between neighbouring bins.
 
     Args:
@@ -85,7 +85,7 @@ def histogram(values: Sequence[float], *, label: str, bins: Sequence[float], cou
         axes.yaxis.get_major_locator().set_params(integer=True)
         axes.set_xlabel(label)
         axes.set_ylabel(counted)
-        return png(figure)
+        return figure_png(figure)
 
 
 def error_map(values: NDArray[np.floating], *, label: str, limit: float, signed: bool = False) -> bytes:
@@ -110,7 +110,7 @@ def error_map(values: NDArray[np.floating], *, label: str, limit: float, signed:
         bar = figure.colorbar(picture, ax=axes, fraction=0.045, pad=0.03, extend="both" if signed else "max")
         bar.outline.set_visible(False)
         bar.set_label(label)
-        return png(figure)
+        return figure_png(figure)
 
 
 def signed_colours(values: NDArray[np.floating], limit: float) -> NDArray[np.uint8]:
@@ -156,7 +156,7 @@ def lines_by_group(
         axes.set_ylabel(label)
         axes.set_xlabel(groups_label)
         axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
-        return png(figure)
+        return figure_png(figure)
 
 
 def running_mean(values: NDArray[np.float64], window: int) -> NDArray[np.float64]:
@@ -167,7 +167,7 @@ def running_mean(values: NDArray[np.float64], window: int) -> NDArray[np.float64
     return np.asarray((total[last] - total[first]) / (last - first), dtype=np.float64)
 
 
-def spread(positions: Sequence[float], gap: float) -> list[float]:
+def spread_labels(positions: Sequence[float], gap: float) -> list[float]:
     """Move sorted positions apart as little as needed so that neighbours differ by at least ``gap``."""
     placed: list[list[float]] = []  # groups of positions that touch: [sum of anchors, count]
     for index, position in enumerate(positions):
@@ -200,11 +200,11 @@ def _label_ends(axes: Any, ends: Sequence[tuple[float, str, str]]) -> None:
     low, high = np.log10(axes.get_ylim())
     ordered = sorted(ends)
     heights = [(np.log10(value) - low) / (high - low) for value, _, _ in ordered]
-    for place, (_, name, colour) in zip(spread(heights, 0.065), ordered, strict=True):
+    for place, (_, name, colour) in zip(spread_labels(heights, 0.065), ordered, strict=True):
         axes.text(1.015, place, name, transform=axes.transAxes, color=colour, va="center", clip_on=False)
 
 
-def png(figure: Any) -> bytes:
+def figure_png(figure: Any) -> bytes:
     """A figure as a PNG file without dates, so that equal figures are equal bytes."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})
@@ -241,7 +241,7 @@ def noise_plot(lines: Mapping[str, Sequence[tuple[float, float, str]]], *, label
         plain_log(axis.xaxis, "{:g}".format)
         plain_log(axis.yaxis, lambda ratio: f"{100 * ratio:g} %")
         axis.legend(frameon=False, fontsize=10, labelcolor=INK)
-        return png(figure)
+        return figure_png(figure)
 
 
 @dataclass(frozen=True)
@@ -285,7 +285,7 @@ def difference_plot(
         axes.grid(visible=False, axis="y")
         axes.set_xlabel(label)
         figure.legend(frameon=False, fontsize=10, labelcolor=INK, loc="outside upper left", ncols=len(kinds))
-        return png(figure)
+        return figure_png(figure)
 
 
 def _draw(

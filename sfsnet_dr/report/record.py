@@ -62,7 +62,7 @@ class Record:
         return "<table><tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr></table>"
 
 
-def measured(
+def make_record(
     what: str,
     value: float,
     unit: str,
@@ -87,7 +87,7 @@ def measured(
     )
 
 
-def dotted(name: str) -> str:
+def dotted_word(name: str) -> str:
     """A name from outside, such as a file's, as one word of ``what``."""
     return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_") or "unnamed"
 

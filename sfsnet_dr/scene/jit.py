@@ -18,13 +18,13 @@ runtime.start()
 import drjit as dr  # noqa: E402  (the variant is chosen first)
 import mitsuba as mi  # noqa: E402
 
-__all__ = ["dr", "mi", "upload"]
+__all__ = ["dr", "mi", "upload_array"]
 
 _NUMPY: dict[Any, npt.DTypeLike] = {mi.Float: np.float32, mi.UInt32: np.uint32}
 _ALIGNMENT = 64  # bytes: the widest vector that Dr.Jit compiles for
 
 
-def upload(kind: Any, array: npt.ArrayLike) -> Any:
+def upload_array(kind: Any, array: npt.ArrayLike) -> Any:
     """A Dr.Jit array of one of Mitsuba's types, such as ``mi.Float``, with the values of a NumPy array.
 
     Dr.Jit maps NumPy's memory instead of copying it, and compiles one kernel for memory that is aligned and

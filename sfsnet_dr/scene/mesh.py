@@ -117,7 +117,7 @@ def vertex_normals(vertices: Array, faces: Indices) -> Array:
     return np.where(length > 1e-20, summed / np.maximum(length, 1e-30), (0.0, 0.0, 1.0))
 
 
-def sphere(radius: float = 0.9, albedo: Colour = (0.5, 0.5, 0.5), rings: int = 96) -> Mesh:
+def sphere_mesh(radius: float = 0.9, albedo: Colour = (0.5, 0.5, 0.5), rings: int = 96) -> Mesh:
     """A latitude-longitude sphere about the origin with exact normals.
 
     With 96 rings the facets lie at most 0.03 % of the radius inside the sphere.
@@ -135,7 +135,7 @@ def sphere(radius: float = 0.9, albedo: Colour = (0.5, 0.5, 0.5), rings: int = 9
     return _uniform(radius * normals, faces, normals, albedo)
 
 
-def plane(size: float = 4.0, albedo: Colour = (0.5, 0.5, 0.5)) -> Mesh:
+def plane_mesh(size: float = 4.0, albedo: Colour = (0.5, 0.5, 0.5)) -> Mesh:
     """A square in z = 0 that faces the viewer. ``size`` is its edge in scene units (the view is 2 wide)."""
     half = size / 2
     vertices = np.array([[-half, -half, 0.0], [half, -half, 0.0], [half, half, 0.0], [-half, half, 0.0]])
@@ -162,22 +162,22 @@ def _uniform(vertices: Array, faces: Indices, normals: Array, albedo: Colour) ->
 _RIPPLE_HEIGHT, _RIPPLE_LENGTH = 0.05, 0.4  # scene units: slopes up to 38 degrees
 
 
-def bowl(albedo: Colour = (0.5, 0.5, 0.5), rings: int = 64) -> Mesh:
+def bowl_mesh(albedo: Colour = (0.5, 0.5, 0.5), rings: int = 64) -> Mesh:
     """The inside of the rear half of a sphere about the origin, open to the viewer; rings / 4 is whole."""
-    ball = sphere(albedo=albedo, rings=rings)
+    ball = sphere_mesh(albedo=albedo, rings=rings)
     behind = ball.vertices[ball.faces][..., 2].max(axis=1) < 1e-9
     faces = np.ascontiguousarray(ball.faces[behind][:, ::-1])
     return replace(ball, faces=faces, normals=-ball.normals)
 
 
-def two_spheres(albedo: Colour = (0.5, 0.5, 0.5), rings: int = 96) -> Mesh:
+def two_spheres_mesh(albedo: Colour = (0.5, 0.5, 0.5), rings: int = 96) -> Mesh:
     """A large ball, and a small one toward the upper right and the viewer, which shadows it from there."""
-    large = moved(sphere(0.62, albedo, rings), (-0.22, -0.22, 0.0))
-    small = moved(sphere(0.26, albedo, rings), (0.3, 0.3, 0.74))
-    return joined(large, small)
+    large = move_mesh(sphere_mesh(0.62, albedo, rings), (-0.22, -0.22, 0.0))
+    small = move_mesh(sphere_mesh(0.26, albedo, rings), (0.3, 0.3, 0.74))
+    return join_meshes(large, small)
 
 
-def relief(albedo: Colour = (0.5, 0.5, 0.5), cells: int = 256) -> Mesh:
+def relief_mesh(albedo: Colour = (0.5, 0.5, 0.5), cells: int = 256) -> Mesh:
     """A wall with rings of ripples about the middle of the view, larger than the view."""
     axis = np.linspace(-1.3, 1.3, cells + 1)
     x, y = (values.ravel() for values in np.meshgrid(axis, axis))
@@ -196,12 +196,12 @@ def relief(albedo: Colour = (0.5, 0.5, 0.5), cells: int = 256) -> Mesh:
     )
 
 
-def moved(mesh: Mesh, shift: tuple[float, float, float]) -> Mesh:
+def move_mesh(mesh: Mesh, shift: tuple[float, float, float]) -> Mesh:
     """The mesh elsewhere."""
     return replace(mesh, vertices=mesh.vertices + shift)
 
 
-def joined(*meshes: Mesh) -> Mesh:
+def join_meshes(*meshes: Mesh) -> Mesh:
     """Several surfaces as one."""
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
     mixes = [m.roughness_mix if m.roughness_mix is not None else np.zeros(len(m.vertices)) for m in meshes]
@@ -218,9 +218,9 @@ def joined(*meshes: Mesh) -> Mesh:
 
 #: How each is made of its albedo, by the name that scenes give.
 SHAPES: Final[dict[str, Callable[[Colour], Mesh]]] = {
-    "sphere": lambda albedo: sphere(albedo=albedo),
-    "plane": lambda albedo: plane(albedo=albedo),
-    "bowl": lambda albedo: bowl(albedo, rings=96),
-    "two_spheres": two_spheres,
-    "relief": relief,
+    "sphere": lambda albedo: sphere_mesh(albedo=albedo),
+    "plane": lambda albedo: plane_mesh(albedo=albedo),
+    "bowl": lambda albedo: bowl_mesh(albedo, rings=96),
+    "two_spheres": two_spheres_mesh,
+    "relief": relief_mesh,
 }

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from sfsnet_dr.core.errors import InputError, check_shape
 from sfsnet_dr.scene.bsdf import DULL_ALPHA, PLUGIN, SHINY_ALPHA, body_share, lobe
-from sfsnet_dr.scene.jit import dr, mi, upload
+from sfsnet_dr.scene.jit import dr, mi, upload_array
 from sfsnet_dr.scene.lights.equirect import MAP_SIZE
 from sfsnet_dr.scene.mesh import Mesh
 from sfsnet_dr.scene.spec import CameraSpec
@@ -242,8 +242,8 @@ def _mesh_values(mesh: Mesh, gloss: bool) -> dict[str, mi.Float | mi.UInt32]:
         _MIX: mix,
         _REGION: _triangle_labels(mesh),
     }
-    values = {key: upload(mi.Float, array) for key, array in floats.items()}
-    return {"faces": upload(mi.UInt32, mesh.faces), **values}
+    values = {key: upload_array(mi.Float, array) for key, array in floats.items()}
+    return {"faces": upload_array(mi.UInt32, mesh.faces), **values}
 
 
 def _triangle_labels(mesh: Mesh) -> npt.NDArray[np.uint8]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from sfsnet_dr.core.config import added, load_toml
+from sfsnet_dr.core.config import added_field, load_toml
 from sfsnet_dr.core.conventions import FACE_SIZE
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.scene.lights.spec import LightSpec
@@ -65,7 +65,7 @@ class HeadSpec:
     scale_jitter: float = 0.1
     shift_jitter: float = 4.0
     relief: bool = True
-    depth: tuple[float, float] = added((1.0, 1.0))
+    depth: tuple[float, float] = added_field((1.0, 1.0))
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ class SceneSpec:
     camera: CameraSpec = CameraSpec(focal=(26.0, 200.0))
     head: HeadSpec = HeadSpec()
     gloss: bool | None = None
-    light: LightSpec | None = added(None)  # noqa: RUF009 (frozen)
+    light: LightSpec | None = added_field(None)  # noqa: RUF009 (frozen)
     sampling: SamplingSpec = SamplingSpec()
 
     @property

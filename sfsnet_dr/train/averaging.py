@@ -19,7 +19,7 @@ from sfsnet_dr.models.base import Network
 from sfsnet_dr.models.inference import LoadedModel, load_model
 
 
-def mean_weights(paths: Sequence[Path | str], shares: Sequence[float] = ()) -> Network:
+def average_weights(paths: Sequence[Path | str], shares: Sequence[float] = ()) -> Network:
     """The network whose parameters and statistics are a mean of those of others, in evaluation mode.
 
     Args:

@@ -47,7 +47,7 @@ def save_checkpoint(
     data: str,
     start: str | None = None,
 ) -> None:
-    """Write the state, whole or not at all; what the file was stays beside it, see ``previous``.
+    """Write the state, whole or not at all; what the file was stays beside it, see ``previous_path``.
 
     ``start`` is the SHA-256 of the weights that the run began with, if it did not begin with random ones.
     """
@@ -69,10 +69,10 @@ def save_checkpoint(
         if path.exists():  # a second name for it first, so that at no moment there is none
             older = partial.with_name(f"{partial.name}.older")
             os.link(path, older)
-            os.replace(older, previous(path))
+            os.replace(older, previous_path(path))
 
 
-def previous(path: Path) -> Path:
+def previous_path(path: Path) -> Path:
     """Where the checkpoint before the last one is kept."""
     return path.with_name(f"{path.stem}.previous{path.suffix}")
 
@@ -99,10 +99,10 @@ def load_checkpoint(
     try:
         header, tensors = _read(path)
     except InputError as damage:
-        if not previous(path).is_file():
+        if not previous_path(path).is_file():
             raise
-        tell(f"{damage}; going on from {previous(path).name}")
-        header, tensors = _read(previous(path))
+        tell(f"{damage}; going on from {previous_path(path).name}")
+        header, tensors = _read(previous_path(path))
     if header.get("format") != FORMAT:
         raise InputError(f"{path}: {header.get('format')} found in its header, {FORMAT} expected")
     _check_same(path, header, recipe, data, start)
@@ -145,7 +145,7 @@ def _check_same(path: Path, header: dict[str, Any], recipe: Recipe, data: str, s
             f"{path}: begun with {_weights(header.get('start'))}, {_weights(start)} given; resume with the "
             "same --start"
         )
-    for where, found, wanted in differences(header["recipe"], as_dict(recipe)):
+    for where, found, wanted in find_differences(header["recipe"], as_dict(recipe)):
         raise InputError(
             f"{path}: recipe with {where} = {found!r} found, {wanted!r} asked for; use the same recipe"
         )
@@ -155,9 +155,9 @@ def _weights(digest: str | None) -> str:
     return "random weights" if digest is None else f"weights of SHA-256 {digest[:12]}"
 
 
-def differences(a: Any, b: Any, where: str = "") -> list[tuple[str, Any, Any]]:
+def find_differences(a: Any, b: Any, where: str = "") -> list[tuple[str, Any, Any]]:
     """Where two nested dictionaries differ: dotted key, value in the first, value in the second."""
     if not (isinstance(a, dict) and isinstance(b, dict)):
         return [] if a == b else [(where, a, b)]
     keys = sorted(a.keys() | b.keys())
-    return [d for key in keys for d in differences(a.get(key), b.get(key), f"{where}.{key}".lstrip("."))]
+    return [d for key in keys for d in find_differences(a.get(key), b.get(key), f"{where}.{key}".lstrip("."))]

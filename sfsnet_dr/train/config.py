@@ -9,22 +9,22 @@ from typing import Final, Literal
 
 import torch
 
-from sfsnet_dr.core.config import added, load_toml
+from sfsnet_dr.core.config import added_field, load_toml
 from sfsnet_dr.core.conventions import FACE_SIZE
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.data.mixed_batch import RealOptions
-from sfsnet_dr.data.normal_dataset import SurfaceOptions
+from sfsnet_dr.data.mixed_batch import PseudoLabelOptions
+from sfsnet_dr.data.normal_dataset import NormalLabelOptions
 from sfsnet_dr.data.transforms.background import Augmentation
 from sfsnet_dr.losses.reconstruction import Backend
 from sfsnet_dr.losses.sfsnet import LossWeights
 from sfsnet_dr.models.base import Network
 from sfsnet_dr.models.sfsnet import SfSNet
-from sfsnet_dr.models.weights import build, settings
+from sfsnet_dr.models.weights import build_network, network_settings
 from sfsnet_dr.train.distributed import Device
 
 Precision = Literal["auto", "float32", "bfloat16"]
 
-_NO_SURFACES: Final = SurfaceOptions()
+_NO_SURFACES: Final = NormalLabelOptions()
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class ModelRecipe:
             InputError: for an unknown architecture.
         """
         given = {name: getattr(self, name) for name in ("stem", "features", "blocks", "width")}
-        return settings(self.architecture) | {k: v for k, v in given.items() if v is not None}
+        return network_settings(self.architecture) | {k: v for k, v in given.items() if v is not None}
 
     def make(self, size: int = FACE_SIZE) -> Network:
         """A freshly initialised network for images of ``size`` pixels square.
@@ -60,7 +60,7 @@ class ModelRecipe:
             InputError: for a setting that the architecture does not have, or a size that it cannot take.
         """
         config = self.config
-        return build(self.architecture, config | ({"size": size} if "size" in config else {}))
+        return build_network(self.architecture, config | ({"size": size} if "size" in config else {}))
 
 
 @dataclass(frozen=True)
@@ -148,9 +148,9 @@ class Recipe:
     model: ModelRecipe = field(default_factory=ModelRecipe)
     data: Augmentation = field(default_factory=Augmentation)
     loss: LossWeights = field(default_factory=LossWeights)
-    real: RealOptions = field(default_factory=RealOptions)
+    real: PseudoLabelOptions = field(default_factory=PseudoLabelOptions)
     real_loss: LossWeights = field(default_factory=LossWeights)
-    surfaces: SurfaceOptions = added(_NO_SURFACES)  # noqa: RUF009 (frozen)
+    surfaces: NormalLabelOptions = added_field(_NO_SURFACES)  # noqa: RUF009 (frozen)
     optimiser: OptimiserRecipe = field(default_factory=OptimiserRecipe)
     compute: ComputeRecipe = field(default_factory=ComputeRecipe)
 
@@ -190,7 +190,7 @@ def read_recipe(path: Path | str) -> Recipe:
     return recipe
 
 
-def lit_by(recipe: Recipe, environments: Path | None) -> Recipe:
+def with_environments(recipe: Recipe, environments: Path | None) -> Recipe:
     """The recipe with a folder of environment maps in place of its own; as it is for None."""
     if environments is None:
         return recipe

@@ -24,7 +24,7 @@ Device = Literal["auto", "cpu", "cuda"]
 
 
 @dataclass(frozen=True)
-class Team:
+class ProcessGroup:
     """This process among those that train together.
 
     Attributes:
@@ -38,7 +38,7 @@ class Team:
     device: torch.device = field(default_factory=lambda: torch.device("cpu"))
 
     @property
-    def leads(self) -> bool:
+    def is_main_process(self) -> bool:
         """Whether it writes files and talks."""
         return self.rank == 0
 
@@ -80,7 +80,7 @@ class Team:
 
 
 @contextmanager
-def join(device: Device = "auto") -> Iterator[Team]:
+def join_process_group(device: Device = "auto") -> Iterator[ProcessGroup]:
     """Join the processes that torchrun started: by gloo on processors, by nccl on GPUs, one GPU a process.
 
     Without torchrun's variables in the environment this process trains alone.
@@ -95,11 +95,11 @@ def join(device: Device = "auto") -> Iterator[Team]:
         _see_one_gpu(int(os.environ.get("LOCAL_RANK", rank)))
     chosen = _device(device)
     if size == 1:
-        yield Team(device=chosen)
+        yield ProcessGroup(device=chosen)
         return
     dist.init_process_group("nccl" if chosen.type == "cuda" else "gloo", rank=rank, world_size=size)
     try:
-        yield Team(rank, size, chosen)
+        yield ProcessGroup(rank, size, chosen)
     finally:
         dist.destroy_process_group()
 

@@ -83,7 +83,7 @@ def read_history(path: Path | str) -> list[dict[str, Any]]:
 FOLDER: Final = "tensorboard"
 
 
-class Board:
+class TensorBoardLogger:
     """Writes the numbers of steps for TensorBoard.
 
     Args:
@@ -118,7 +118,7 @@ class Board:
 ROWS: Final = 4
 
 
-def write_pictures(path: Path, model: nn.Module, batch: FaceBatch | MixedBatch, values: Values) -> None:
+def write_sample_images(path: Path, model: nn.Module, batch: FaceBatch | MixedBatch, values: Values) -> None:
     """Write a PNG with a row for each face: image, normals, albedo, shading and product; then the labels'.
 
     Rendered faces come first, photographs with their pseudo-labels after them. The network answers as it

@@ -26,8 +26,8 @@ from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.core.files import output_dir
 from sfsnet_dr.core.provenance import sha256
 from sfsnet_dr.data.photos import PhotoSet, PhotoSource
-from sfsnet_dr.data.pseudo_labels import SHARD, LabelFolder, Labels, Values, as_network_input, encoded
-from sfsnet_dr.data.transforms.flip import flip_map
+from sfsnet_dr.data.pseudo_labels import SHARD, LabelFolder, Labels, Values, as_network_input, encode_labels
+from sfsnet_dr.data.transforms.mirror import mirror_map
 from sfsnet_dr.models.base import NetworkOutput
 from sfsnet_dr.models.inference import load_model, mirror_output, predict
 from sfsnet_dr.models.shipped import weights_path
@@ -80,21 +80,27 @@ def pseudo_label(
         if not folder.has(number):
             read = photographs.load(shard, view)
             reasons = {item.name: item.reason for item in read.skipped}
-            folder.write(number, label(trained.model, read, spec["values"]), read.names, read.hashes, reasons)
+            folder.write(
+                number,
+                label_photographs(trained.model, read, spec["values"]),
+                read.names,
+                read.hashes,
+                reasons,
+            )
         on_shard(len(shard))
     return folder.finish(len(shards), photographs.held, photographs.skipped)
 
 
-def label(model: nn.Module, photographs: PhotoSet, values: Values = "linear") -> Labels:
+def label_photographs(model: nn.Module, photographs: PhotoSet, values: Values = "linear") -> Labels:
     """Label photographs in memory."""
     if not len(photographs):
         raise InputError("photographs: none of a whole shard can be read; see whether their files are whole")
     image = as_network_input(photographs.images, values)
-    answer, confidence = confident_answer(model, image)
-    return encoded(photographs.images, photographs.masks, confidence, *answer)
+    answer, confidence = predict_with_confidence(model, image)
+    return encode_labels(photographs.images, photographs.masks, confidence, *answer)
 
 
-def confident_answer(model: nn.Module, image: Tensor) -> tuple[NetworkOutput, Tensor]:
+def predict_with_confidence(model: nn.Module, image: Tensor) -> tuple[NetworkOutput, Tensor]:
     """The mean answer to four views of images (N, 3, S, S), and its confidence (N, 1, S, S) in [0, 1]."""
     step = max(1, round(_SHIFT * image.shape[-1]))
     answers = [
@@ -116,7 +122,7 @@ def confident_answer(model: nn.Module, image: Tensor) -> tuple[NetworkOutput, Te
 
 def _answer(model: nn.Module, image: Tensor, flip: bool, shift: tuple[int, int]) -> NetworkOutput:
     """The answer to a view, in the frame of the image itself."""
-    view = _shifted(flip_map(image) if flip else image, shift)
+    view = _shifted(mirror_map(image) if flip else image, shift)
     normal, albedo, light = predict(model, view)
     back = (-shift[0], -shift[1])
     answer = NetworkOutput(_shifted(normal, back), _shifted(albedo, back), light)

@@ -21,9 +21,9 @@ from sfsnet_dr.models.shipped import weights_path
 from sfsnet_dr.models.weights import copy_weights, save_weights
 from sfsnet_dr.train.checkpoint import Progress, load_checkpoint, save_checkpoint
 from sfsnet_dr.train.config import Recipe
-from sfsnet_dr.train.distributed import Team
-from sfsnet_dr.train.logging import Board, History, read_history, write_pictures
-from sfsnet_dr.train.step import PARTS, NotFinite, Watch, training_step
+from sfsnet_dr.train.distributed import ProcessGroup
+from sfsnet_dr.train.logging import History, TensorBoardLogger, read_history, write_sample_images
+from sfsnet_dr.train.step import PARTS, CollapseMonitor, NonFiniteError, training_step
 
 #: Files of a run's folder.
 WEIGHTS: Final = "weights.safetensors"
@@ -60,7 +60,7 @@ class TrainResult:
     skipped: int
 
 
-class Run:
+class TrainingRun:
     """The network, Adam and how far a run is. Of a team the leading process alone writes files.
 
     Args:
@@ -84,14 +84,14 @@ class Run:
         folder: Path,
         *,
         resume: bool,
-        team: Team,
+        team: ProcessGroup,
         tensorboard: bool,
         start: Path | None = None,
         metadata: Mapping[str, Any] | None = None,
     ) -> None:
         self.recipe, self.folder, self.batches, self.team = recipe, folder, batches, team
         self.data = batches.fingerprint
-        self.watch = Watch()
+        self.watch = CollapseMonitor()
         self.metadata = dict(metadata or {})
         self.model = recipe.make_model()
         self.start = None if start is None else sha256(weights_path(start))
@@ -103,16 +103,18 @@ class Run:
         decay = recipe.optimiser.weight_decay
         self.adam = torch.optim.Adam(self.model.parameters(), weight_decay=decay)
         self.done = Progress()
-        self._screen = Console(stderr=True, quiet=not team.leads)
+        self._screen = Console(stderr=True, quiet=not team.is_main_process)
         if resume:
             checkpoint = folder / CHECKPOINT
             self.done = load_checkpoint(
                 checkpoint, self.model, self.adam, recipe, self.data, self.start, tell=self._tell
             )
             self._look_back()
-        self._board = Board(folder, self.done.step) if tensorboard and team.leads else None
+        self._board = (
+            TensorBoardLogger(folder, self.done.step) if tensorboard and team.is_main_process else None
+        )
         team.wait()  # all have read what the leading one is about to change
-        self._history = History(folder / HISTORY, self.done.step) if team.leads else None
+        self._history = History(folder / HISTORY, self.done.step) if team.is_main_process else None
 
     def _look_back(self) -> None:
         """Show the watch what it saw before, so that a resumed run warns where an unstopped one would."""
@@ -147,7 +149,7 @@ class Run:
                 self._tell(f"step {number}: {warning}")
             texts = f"loss {values['total']:.4f}", f"{speed:.1f} images/s"
             self.done = replace(self.done, step=number + 1)
-        except NotFinite as error:
+        except NonFiniteError as error:
             names = self.batches.names(number)
             self._note(step=number, rate=rate, skipped=str(error), faces=names)
             self._tell(f"step {number}: skipped, {error} on {', '.join(names)}")
@@ -157,9 +159,9 @@ class Run:
         if self.done.step % self.recipe.checkpoint_every == 0:
             self.save()
         every = self.recipe.pictures_every
-        if every and self.done.step % every == 0 and self.team.leads:
+        if every and self.done.step % every == 0 and self.team.is_main_process:
             path = self.folder / PICTURES.format(self.done.step)
-            write_pictures(path, self.model, self.batches.batch(0), self.recipe.real.values)
+            write_sample_images(path, self.model, self.batches.batch(0), self.recipe.real.values)
         return texts
 
     def save(self) -> None:
@@ -168,7 +170,7 @@ class Run:
         Raises:
             RunError: if it cannot be written, as on a full disk; the last one is whole then.
         """
-        if not self.team.leads:
+        if not self.team.is_main_process:
             return
         path = self.folder / CHECKPOINT
         try:
@@ -185,7 +187,7 @@ class Run:
         metadata = {"recipe": as_dict(self.recipe), "data": self.data, "start": self.start, "final": final}
         metadata |= self.metadata
         path = self.folder / WEIGHTS
-        if self.team.leads:
+        if self.team.is_main_process:
             try:
                 save_weights(path, self.model, metadata)
             except (OSError, SafetensorError) as error:

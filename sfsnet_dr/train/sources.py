@@ -11,14 +11,14 @@ import torch
 
 from sfsnet_dr.core.conventions import FACE_SIZE
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.data.mixed_batch import RealFaces, RealSource, RealTogether
-from sfsnet_dr.data.normal_dataset import IdentitySplit, SurfaceFaces, load_learnt, read_split
+from sfsnet_dr.data.mixed_batch import ConcatSource, RealFaces, RealSource
+from sfsnet_dr.data.normal_dataset import IdentitySplit, NormalLabelFaces, load_training_subjects, read_split
 from sfsnet_dr.data.pseudo_labels import load_pseudo_labels
 from sfsnet_dr.models.weights import read_metadata
 from sfsnet_dr.train.config import Recipe
 
 
-class Unopened(NamedTuple):
+class SourceConfig(NamedTuple):
     """A source of real faces that a recipe asks for.
 
     Attributes:
@@ -31,7 +31,7 @@ class Unopened(NamedTuple):
 
 
 @dataclass(frozen=True)
-class RealPart:
+class RealSources:
     """What a recipe takes of real faces, ready to be opened.
 
     Attributes:
@@ -39,7 +39,7 @@ class RealPart:
         metadata: what the weights should tell about them.
     """
 
-    sources: tuple[Unopened, ...] = ()
+    sources: tuple[SourceConfig, ...] = ()
     metadata: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -47,14 +47,14 @@ class RealPart:
         """Images of each source in a mini-batch."""
         return tuple(source.images for source in self.sources)
 
-    def open(self, device: torch.device) -> RealTogether:
+    def open(self, device: torch.device) -> ConcatSource:
         """The batches of all sources on a device; there must be one."""
-        return RealTogether([source.open(device) for source in self.sources])
+        return ConcatSource([source.open(device) for source in self.sources])
 
 
-def real_part(
+def configure_sources(
     recipe: Recipe, labels: Path | str | None, surfaces: Path | str | None, start: Path | None
-) -> RealPart:
+) -> RealSources:
     """Photographs with pseudo-labels, faces with labels by photometric stereo, both or none.
 
     Raises:
@@ -68,28 +68,28 @@ def real_part(
         surfaces,
         "--surfaces DIR (see `sfsnet-dr photometric-stereo`)",
     )
-    sources: list[Unopened] = []
+    sources: list[SourceConfig] = []
     metadata = {}
     if labels is not None:
         found, photographs = load_pseudo_labels(labels), recipe.real.count(recipe.batch_size)
         _check_crop(labels, int(found.spec.get("crop", FACE_SIZE)), recipe.data.crop)
         sources.append(
-            Unopened(
+            SourceConfig(
                 photographs, lambda device: RealFaces(found.to(device), photographs, recipe.real, recipe.seed)
             )
         )
     if surfaces is not None:
-        faces, dealt = load_learnt(surfaces, recipe.surfaces, recipe.data.view)
+        faces, dealt = load_training_subjects(surfaces, recipe.surfaces, recipe.data.view)
         split = _begun(dealt, start)
         captures = recipe.surfaces.count(recipe.batch_size)
         sources.append(
-            Unopened(
+            SourceConfig(
                 captures,
-                lambda device: SurfaceFaces(faces, captures, recipe.surfaces, recipe.seed, device),
+                lambda device: NormalLabelFaces(faces, captures, recipe.surfaces, recipe.seed, device),
             )
         )
         metadata = {"surfaces": split.metadata}
-    return RealPart(tuple(sources), metadata)
+    return RealSources(tuple(sources), metadata)
 
 
 def _together(key: str, share: float, folder: Path | str | None, option: str) -> None:

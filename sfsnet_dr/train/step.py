@@ -16,10 +16,10 @@ from torch import Tensor, nn
 
 from sfsnet_dr.data.batch import FaceBatch
 from sfsnet_dr.data.mixed_batch import MixedBatch
-from sfsnet_dr.losses.sfsnet import LossTerms, Share, mixed_loss, sfsnet_loss
+from sfsnet_dr.losses.sfsnet import BatchShare, LossTerms, mixed_loss, sfsnet_loss
 from sfsnet_dr.models.base import Network, NetworkOutput
 from sfsnet_dr.train.config import Recipe
-from sfsnet_dr.train.distributed import Team
+from sfsnet_dr.train.distributed import ProcessGroup
 
 #: A part has collapsed when it keeps less than this share of its labels' spread, on average ...
 SMALLEST: Final = 0.15
@@ -44,7 +44,7 @@ def spread_ratios(prediction: NetworkOutput, target: FaceBatch) -> dict[str, flo
     }
 
 
-class Watch:
+class CollapseMonitor:
     """Follows the ratios of a run, and warns once for each part that collapses."""
 
     def __init__(self) -> None:
@@ -80,10 +80,10 @@ def _spread(values: Tensor, mask: Tensor) -> float:
     return float(variance.sum(1).sqrt().sum())
 
 
-_ALONE: Final = Team()
+_ALONE: Final = ProcessGroup()
 
 
-class NotFinite(Exception):
+class NonFiniteError(Exception):
     """A batch gave NaN or infinity; the network and its optimiser are as they were before it."""
 
 
@@ -93,7 +93,7 @@ def training_step(
     batch: FaceBatch | MixedBatch,
     recipe: Recipe,
     rate: float,
-    team: Team = _ALONE,
+    team: ProcessGroup = _ALONE,
 ) -> dict[str, float]:
     """Learn from one batch.
 
@@ -129,8 +129,8 @@ def training_step(
         values = dict(zip([*names, "gradient"], numbers, strict=True))
         bad = [name for name, value in values.items() if not math.isfinite(value)]
         if bad:
-            raise NotFinite(f"{', '.join(bad)} not finite")
-    except NotFinite:
+            raise NonFiniteError(f"{', '.join(bad)} not finite")
+    except NonFiniteError:
         for buffer, before in statistics:
             buffer.copy_(before)
         raise
@@ -140,7 +140,7 @@ def training_step(
     return values
 
 
-def predicted(model: Network, image: Tensor, recipe: Recipe) -> NetworkOutput:
+def predict_encoded(model: Network, image: Tensor, recipe: Recipe) -> NetworkOutput:
     """A network's answer in the recipe's precision and memory order."""
     layout = torch.channels_last if recipe.compute.channels_last else torch.contiguous_format
     image = image.contiguous(memory_format=layout)
@@ -150,7 +150,7 @@ def predicted(model: Network, image: Tensor, recipe: Recipe) -> NetworkOutput:
 
 
 def batch_loss(
-    prediction: NetworkOutput, batch: FaceBatch | MixedBatch, recipe: Recipe, team: Team = _ALONE
+    prediction: NetworkOutput, batch: FaceBatch | MixedBatch, recipe: Recipe, team: ProcessGroup = _ALONE
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """The loss of a batch, and all terms to be noted; their sums over a team are those of the whole batch."""
     backend = recipe.compute.loss_backend
@@ -164,21 +164,21 @@ def batch_loss(
 
 
 def _forward(
-    model: Network, batch: FaceBatch | MixedBatch, recipe: Recipe, team: Team
+    model: Network, batch: FaceBatch | MixedBatch, recipe: Recipe, team: ProcessGroup
 ) -> tuple[Tensor, dict[str, Tensor], dict[str, float]]:
     """The loss, all terms to be noted, and how much the answers for labelled faces vary."""
-    prediction = predicted(model, batch.image, recipe)
+    prediction = predict_encoded(model, batch.image, recipe)
     total, terms = batch_loss(prediction, batch, recipe, team)
     labelled = batch if isinstance(batch, FaceBatch) else batch.labelled
     first = NetworkOutput(*(part[: len(labelled.image)] for part in prediction))
     return total, terms, spread_ratios(first, labelled)
 
 
-def _share(batch: FaceBatch, team: Team) -> Share | None:
+def _share(batch: FaceBatch, team: ProcessGroup) -> BatchShare | None:
     if team.size == 1:
         return None
     own = batch.mask.sum()
-    return Share(own / team.sum(own).clamp_min(1e-6), 1 / team.size)
+    return BatchShare(own / team.sum(own).clamp_min(1e-6), 1 / team.size)
 
 
 def _named(total: Tensor, labelled: LossTerms, real: LossTerms) -> dict[str, Tensor]:

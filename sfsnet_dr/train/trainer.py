@@ -20,14 +20,14 @@ from rich.progress import Progress as Bar
 from sfsnet_dr.core.errors import InputError, RunError
 from sfsnet_dr.core.files import output_dir
 from sfsnet_dr.core.host import keep_freed_memory
-from sfsnet_dr.data.batch import dealt
+from sfsnet_dr.data.batch import shard
 from sfsnet_dr.data.dataset import Faces, Folders, RelitFaces, load_faces
 from sfsnet_dr.data.mixed_batch import MixedFaces
-from sfsnet_dr.scene.lights.cache import LightBank, kept_bank
+from sfsnet_dr.scene.lights.cache import LightCache, load_or_draw_lights
 from sfsnet_dr.train.config import Recipe
-from sfsnet_dr.train.distributed import Team, join
-from sfsnet_dr.train.run import CHECKPOINT, LIGHTS, Run, TrainResult
-from sfsnet_dr.train.sources import RealPart, real_part
+from sfsnet_dr.train.distributed import ProcessGroup, join_process_group
+from sfsnet_dr.train.run import CHECKPOINT, LIGHTS, TrainingRun, TrainResult
+from sfsnet_dr.train.sources import RealSources, configure_sources
 
 
 class StopRequest:
@@ -94,19 +94,19 @@ def train(
         RunError: if too many steps were not finite, or SIGTERM came; the checkpoint is saved then.
         KeyboardInterrupt: on SIGINT, with the checkpoint saved.
     """
-    real = real_part(recipe, labels, surfaces, start)
+    real = configure_sources(recipe, labels, surfaces, start)
     folder = output_dir(out)
     if not resume and (folder / CHECKPOINT).exists():
         raise InputError(f"{folder}: holds a run already; go on with --resume or choose another folder")
     faces = load_faces(data, recipe.data.view, held_back=recipe.data.held_back)
-    with join(recipe.compute.device) as team:
+    with join_process_group(recipe.compute.device) as team:
         batches = _batches(recipe, faces, real, folder, team, progress)
         keep_freed_memory()  # from here on all steps need the same; what loading needed is given back
-        run = Run(
+        run = TrainingRun(
             recipe, batches, folder, resume=resume, team=team, tensorboard=tensorboard, start=start,
             metadata=real.metadata,
         )  # fmt: skip
-        with closing(run), StopRequest() as stop, _bar(progress and team.leads) as bar:
+        with closing(run), StopRequest() as stop, _bar(progress and team.is_main_process) as bar:
             task = bar.add_task("training", total=recipe.steps, completed=run.done.step, loss="", speed="")
             while run.done.step < recipe.steps:
                 loss, speed = run.step()
@@ -118,25 +118,27 @@ def train(
 
 
 def _batches(
-    recipe: Recipe, faces: Faces, real: RealPart, folder: Path, team: Team, progress: bool
+    recipe: Recipe, faces: Faces, real: RealSources, folder: Path, team: ProcessGroup, progress: bool
 ) -> RelitFaces | MixedFaces:
     """The batches of a recipe on a team's device; the leading process draws the lights for all."""
     rendered = recipe.batch_size - sum(real.counts)
     for images in (rendered, *real.counts):
-        dealt(images, team.rank, team.size)
-    if team.leads:
+        shard(images, team.rank, team.size)
+    if team.is_main_process:
         bank = _bank(recipe, folder, progress)
     team.wait()
-    bank = bank if team.leads else _bank(recipe, folder, progress=False)
+    bank = bank if team.is_main_process else _bank(recipe, folder, progress=False)
     relit = RelitFaces(faces.to(team.device), rendered, recipe.data, recipe.seed, bank)
     return relit if not real.sources else MixedFaces(relit, real.open(team.device))
 
 
-def _bank(recipe: Recipe, folder: Path, progress: bool) -> LightBank:
+def _bank(recipe: Recipe, folder: Path, progress: bool) -> LightCache:
     wanted = recipe.data
     with _bar(progress, transient=True) as bar:
         task = bar.add_task("drawing lights", total=wanted.lights, loss="", speed="")
-        return kept_bank(folder / LIGHTS, wanted.light, wanted.lights, recipe.seed, lambda: bar.advance(task))
+        return load_or_draw_lights(
+            folder / LIGHTS, wanted.light, wanted.lights, recipe.seed, lambda: bar.advance(task)
+        )
 
 
 def _raise_stopped(number: signal.Signals | None, folder: Path, step: int) -> None:

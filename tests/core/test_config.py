@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 
 import pytest
 
-from sfsnet_dr.core.config import added, as_dict, fingerprint, load_toml
+from sfsnet_dr.core.config import added_field, as_dict, fingerprint, load_toml
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.scene.spec import SceneSpec, load_scene
 
@@ -120,7 +120,7 @@ def test_a_field_that_came_later_counts_only_when_used() -> None:
     @dataclass(frozen=True)
     class After:
         rate: float = 0.5
-        later: float = added(0.0)
+        later: float = added_field(0.0)
 
     assert fingerprint(Before()) == fingerprint(After())
     assert fingerprint(After()) != fingerprint(After(later=1.0))

@@ -10,7 +10,7 @@ from PIL import Image
 
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.core.visualize import Pixels, on_white, png_bytes, show_linear, show_normals
-from sfsnet_dr.inference.sheet import SheetStyle, sheet
+from sfsnet_dr.inference.sheet import SheetStyle, draw_sheet
 
 
 def decoded(png: bytes) -> Pixels:
@@ -51,7 +51,7 @@ def test_the_sheet_shows_the_pixels_unchanged_in_reading_order() -> None:
     rng = np.random.default_rng(1)
     pictures = [(f"picture {k}", rng.integers(0, 256, (8, 8, 3), dtype=np.uint8)) for k in range(5)]
     style = SheetStyle(cell=64, gap=10, margin=12, label=30, title=40)
-    drawn = decoded(sheet(pictures, title="five", columns=3, style=style))
+    drawn = decoded(draw_sheet(pictures, title="five", columns=3, style=style))
     assert drawn.shape == (12 + 40 + 2 * (64 + 30 + 10) - 10 + 12, 2 * 12 + 3 * 74 - 10, 3)
     for index, (_, picture) in enumerate(pictures):
         x, y = 12 + (index % 3) * 74, 52 + (index // 3) * 104

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import sfsnet_dr
-from sfsnet_dr.core.worker_process import Child, ChildFailed
+from sfsnet_dr.core.worker_process import WorkerFailed, WorkerProcess
 
 #: Answers with the result of the Python expression that it is asked.
 PROGRAM = """
@@ -21,14 +21,14 @@ serve(lambda question: {"found": eval(question["what"])})
 
 
 @pytest.fixture
-def child() -> Iterator[Child]:
+def child() -> Iterator[WorkerProcess]:
     root = str(Path(sfsnet_dr.__file__).parent.parent)
-    made = Child([sys.executable, "-c", PROGRAM], {"PYTHONPATH": root})
+    made = WorkerProcess([sys.executable, "-c", PROGRAM], {"PYTHONPATH": root})
     yield made
     made.end()
 
 
-def ask(child: Child, what: str, seconds: float = 30.0) -> object:
+def ask(child: WorkerProcess, what: str, seconds: float = 30.0) -> object:
     answer = child.ask({"what": what}, seconds)
     return answer.get("found", answer.get("error"))
 
@@ -41,7 +41,7 @@ def gone(process: object) -> bool:
         return True
 
 
-def test_it_answers_and_what_it_prints_is_no_answer(child: Child) -> None:
+def test_it_answers_and_what_it_prints_is_no_answer(child: WorkerProcess) -> None:
     assert ask(child, "1 + 1") == 2
     assert ask(child, "print('{}') or os.system('echo {}')") == 0
     assert ask(child, "'x' * 300000") == "x" * 300000
@@ -49,9 +49,9 @@ def test_it_answers_and_what_it_prints_is_no_answer(child: Child) -> None:
     assert ask(child, "2") == 2
 
 
-def test_one_that_hangs_is_ended_with_what_it_started(child: Child) -> None:
+def test_one_that_hangs_is_ended_with_what_it_started(child: WorkerProcess) -> None:
     number = ask(child, "subprocess.Popen(['sleep', '600']).pid")
-    with pytest.raises(ChildFailed, match=r"no answer within 0\.2 s; the process was ended") as failed:
+    with pytest.raises(WorkerFailed, match=r"no answer within 0\.2 s; the process was ended") as failed:
         ask(child, "time.sleep(600)", 0.2)
     assert failed.value.how == "hung"
     assert not child.alive
@@ -61,15 +61,15 @@ def test_one_that_hangs_is_ended_with_what_it_started(child: Child) -> None:
     assert gone(number)
 
 
-def test_one_that_dies_is_told_by_its_last_words(child: Child) -> None:
-    with pytest.raises(ChildFailed, match="exit code 3: goodbye") as failed:
+def test_one_that_dies_is_told_by_its_last_words(child: WorkerProcess) -> None:
+    with pytest.raises(WorkerFailed, match="exit code 3: goodbye") as failed:
         ask(child, "print('goodbye', flush=True) or os._exit(3)")
     assert failed.value.how == "died"
 
 
-def test_one_that_is_gone_says_so(child: Child) -> None:
+def test_one_that_is_gone_says_so(child: WorkerProcess) -> None:
     ask(child, "1")
     child._process.kill()
     child._process.wait()
-    with pytest.raises(ChildFailed, match="SIGKILL, and said nothing"):
+    with pytest.raises(WorkerFailed, match="SIGKILL, and said nothing"):
         ask(child, "x" * 1000)

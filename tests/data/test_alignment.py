@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sfsnet_dr.core.conventions import CHIN_ROW, EYE_IMAGE_LEFT, EYE_IMAGE_RIGHT
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.data.alignment import face_ellipse_mask, inside, read_eyes, side_file, to_canonical
+from sfsnet_dr.data.alignment import canonical_coverage, face_ellipse_mask, read_eyes, side_file, to_canonical
 
 
 def ramp(height: int, width: int) -> NDArray[np.float64]:
@@ -62,7 +62,7 @@ def test_reduction_is_the_mean_over_the_pixels_square(scale: int) -> None:
 
 
 def test_inside_is_the_covered_share() -> None:
-    share = inside(64, 128, (EYE_IMAGE_LEFT, EYE_IMAGE_RIGHT))
+    share = canonical_coverage(64, 128, (EYE_IMAGE_LEFT, EYE_IMAGE_RIGHT))
     assert (share[:63] == 1).all()
     assert (share[65:] == 0).all()
     assert share[:, 0].sum() == pytest.approx(64, abs=1)

@@ -18,10 +18,10 @@ from sfsnet_dr.data.dataset import Faces, RelitFaces, load_faces
 from sfsnet_dr.data.manifest import Entry, Manifest
 from sfsnet_dr.data.transforms.background import Augmentation
 from sfsnet_dr.data.transforms.camera import PhotoOptions
-from sfsnet_dr.data.transforms.crop import View
-from sfsnet_dr.data.transforms.flip import flip_map, flip_normal, flip_transport
+from sfsnet_dr.data.transforms.crop import Crop
+from sfsnet_dr.data.transforms.mirror import mirror_map, mirror_normal, mirror_transport
 from sfsnet_dr.render.transport_shading import relight_responses, response_weights
-from sfsnet_dr.scene.lights.cache import bank_of
+from sfsnet_dr.scene.lights.cache import light_cache_of
 from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.lights.spec import LightSpec
 from sfsnet_dr.sh.basis import sh_basis
@@ -67,7 +67,7 @@ def test_hard_lamps_and_gloss_are_those_of_the_bundle(tmp_path: Path) -> None:
     lamp = Light("lamp", dome, ((bundle.directions[0], np.array([1.0, 2.0, 0.5])),))
     light = replace(NO_LIGHT, lobes=1, exposure=(0.3, 0.3), white_balance=(1.0, 1.0))
     augmentation = replace(PLAIN, light=light)
-    batch = RelitFaces(load_faces(tmp_path), 1, augmentation, 0, bank_of([(lamp, False)])).batch(0)
+    batch = RelitFaces(load_faces(tmp_path), 1, augmentation, 0, light_cache_of([(lamp, False)])).batch(0)
     taken = lamp.balanced(1.0).exposed(0.3)
     mixed = response_weights(taken, bundle.directions, 2)
     expected = relight_responses(bundle.transport, bundle.gloss, bundle.directional, mixed)
@@ -82,12 +82,12 @@ def mirrored(faces: Faces) -> Faces:
     """Faces and their responses, reflected one by one."""
     return replace(
         faces,
-        normal=flip_normal(faces.normal),
-        albedo=flip_map(faces.albedo),
-        mask=flip_map(faces.mask),
-        coverage=flip_map(faces.coverage),
-        transport=flip_transport(faces.transport),
-        directional=flip_map(faces.directional),
+        normal=mirror_normal(faces.normal),
+        albedo=mirror_map(faces.albedo),
+        mask=mirror_map(faces.mask),
+        coverage=mirror_map(faces.coverage),
+        transport=mirror_transport(faces.transport),
+        directional=mirror_map(faces.directional),
         directions=faces.directions * [-1.0, 1.0, 1.0],
     )
 
@@ -112,7 +112,7 @@ def test_grey_pictures_have_grey_answers(faces: Faces) -> None:
 
 def test_smaller_faces_are_means_of_larger_ones(tmp_path: Path) -> None:
     folder = write_spheres(tmp_path / "spheres", 2)
-    whole, half = load_faces(folder), load_faces(folder, View(8))
+    whole, half = load_faces(folder), load_faces(folder, Crop(8))
     assert half.transport.shape == (2, 9, 3, 8, 8)
     assert half.fingerprint != whole.fingerprint
     expected = whole.directional.float().reshape(2, 2, 3, 8, 2, 8, 2).mean((4, 6))
@@ -121,7 +121,7 @@ def test_smaller_faces_are_means_of_larger_ones(tmp_path: Path) -> None:
     length = batch.normal.norm(dim=1, keepdim=True)[batch.mask == 1]
     torch.testing.assert_close(length, torch.ones_like(length), atol=1e-6, rtol=0)
     with pytest.raises(InputError, match=r"16 x 16 pixels found, a square of 20 .*; see data\.size"):
-        load_faces(folder, View(20))
+        load_faces(folder, Crop(20))
 
 
 def test_a_batch_depends_on_seed_and_number_only(faces: Faces) -> None:

@@ -14,8 +14,8 @@ from torch import Tensor
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.data.batch import FaceBatch
 from sfsnet_dr.data.dataset import RelitFaces, load_faces
-from sfsnet_dr.data.mixed_batch import MixedBatch, MixedFaces, RealBatch, RealFaces, RealOptions
-from sfsnet_dr.data.pseudo_labels import LabelFolder, PseudoFaces, Values, encoded, load_pseudo_labels
+from sfsnet_dr.data.mixed_batch import MixedBatch, MixedFaces, PseudoLabelOptions, RealBatch, RealFaces
+from sfsnet_dr.data.pseudo_labels import LabelFolder, PseudoFaces, Values, encode_labels, load_pseudo_labels
 from sfsnet_dr.data.transforms.background import Augmentation
 from sfsnet_dr.losses.sfsnet import LossWeights, mixed_loss, sfsnet_loss
 from sfsnet_dr.models.base import NetworkOutput
@@ -31,7 +31,7 @@ RECIPE = Recipe(
     checkpoint_every=3,
     model=ModelRecipe(stem=4, features=8, blocks=1),
     data=Augmentation(lights=4),
-    real=RealOptions(share=0.5),
+    real=PseudoLabelOptions(share=0.5),
     compute=ComputeRecipe(precision="float32", loss_backend="torch"),
 )
 
@@ -56,7 +56,7 @@ def write_labels(folder: Path, count: int = 5, size: int = 16, values: Values = 
     image = (picture * 255).round().to(torch.uint8)
     target = LabelFolder(folder, {"values": values, "size": size})
     names = [f"{number}.jpg" for number in range(count)]
-    target.write(0, encoded(image, mask, confidence, normal, albedo, light), names, names, {})
+    target.write(0, encode_labels(image, mask, confidence, normal, albedo, light), names, names, {})
     target.finish(1, [], {})
     return folder
 
@@ -76,7 +76,7 @@ def misfit(batch: FaceBatch) -> float:
 def test_flips_and_exposure_keep_labels_and_photographs_together(values: Values, tmp_path: Path) -> None:
     """Whatever happens to a photograph, its labels still render it: 8-bit rounding leaves .006 at most."""
     faces = load_pseudo_labels(write_labels(tmp_path / "labels", values=values))
-    options = RealOptions(flip=0.5, darker=2.0, values=values)
+    options = PseudoLabelOptions(flip=0.5, darker=2.0, values=values)
     real = RealFaces(faces, 4, options, seed=0)
     for step in range(3):
         batch = real.batch(step).faces
@@ -89,7 +89,7 @@ def test_batches_are_functions_of_the_step(labels: Path, spheres: Path) -> None:
 
     def mixed(seed: int) -> MixedFaces:
         rendered = RelitFaces(faces, 2, Augmentation(lights=4), seed)
-        return MixedFaces(rendered, RealFaces(real, 2, RealOptions(share=0.5), seed))
+        return MixedFaces(rendered, RealFaces(real, 2, PseudoLabelOptions(share=0.5), seed))
 
     first, second = mixed(0), mixed(0)
     for step in (3, 0):  # in any order
@@ -99,7 +99,7 @@ def test_batches_are_functions_of_the_step(labels: Path, spheres: Path) -> None:
     assert first.fingerprint == second.fingerprint
     assert len(first.names(0)) == 4
     assert first.batch(0).image.shape == (4, 3, 16, 16)
-    epoch = [name for step in range(5) for name in RealFaces(real, 1, RealOptions(), 0).names(step)]
+    epoch = [name for step in range(5) for name in RealFaces(real, 1, PseudoLabelOptions(), 0).names(step)]
     assert sorted(epoch) == sorted(real.names)
 
 
@@ -120,7 +120,7 @@ def guess(batch: MixedBatch) -> NetworkOutput:
 
 def test_the_loss_is_the_mean_over_faces_and_trusts_as_told(labels: Path, spheres: Path) -> None:
     rendered = RelitFaces(load_faces(spheres), 3, Augmentation(lights=4), 0)
-    real = RealFaces(load_pseudo_labels(labels), 1, RealOptions(share=0.25), 0)
+    real = RealFaces(load_pseudo_labels(labels), 1, PseudoLabelOptions(share=0.25), 0)
     batch = MixedFaces(rendered, real).batch(0)
     weights, real_weights = LossWeights(), LossWeights(recon=2.0, normal=1.0)
     total, first, second = mixed_loss(guess(batch), batch, weights, real_weights, "torch")
@@ -170,18 +170,24 @@ def other_size(folder: Path) -> PseudoFaces:
 
 def test_bad_mixtures_are_told(labels: Path, spheres: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"real\.share: 0\.1 of 4 images is 0"):
-        replace(RECIPE, real=RealOptions(share=0.1))
+        replace(RECIPE, real=PseudoLabelOptions(share=0.1))
     with pytest.raises(InputError, match=r"real\.share: 1\.5 found, 0 to 1 allowed"):
-        RealOptions(share=1.5)
+        PseudoLabelOptions(share=1.5)
     with pytest.raises(InputError, match=r"real\.share: 0\.5 in the recipe and no folder of labels"):
         train(RECIPE, spheres, tmp_path / "out", progress=False)
     with pytest.raises(InputError, match=r"real\.share: 0 in the recipe and the labels of"):
-        train(replace(RECIPE, real=RealOptions()), spheres, tmp_path / "out", labels=labels, progress=False)
+        train(
+            replace(RECIPE, real=PseudoLabelOptions()),
+            spheres,
+            tmp_path / "out",
+            labels=labels,
+            progress=False,
+        )
     with pytest.raises(InputError, match="'display' found, the pseudo-labels were made with 'linear'"):
-        RealFaces(load_pseudo_labels(labels), 2, RealOptions(values="display"), 0)
+        RealFaces(load_pseudo_labels(labels), 2, PseudoLabelOptions(values="display"), 0)
     rendered = RelitFaces(load_faces(spheres), 2, Augmentation(lights=4), 0)
     with pytest.raises(InputError, match=r"8 x 8 pixels found, 16 x 16"):
-        MixedFaces(rendered, RealFaces(other_size(tmp_path), 2, RealOptions(), 0))
+        MixedFaces(rendered, RealFaces(other_size(tmp_path), 2, PseudoLabelOptions(), 0))
     other = tmp_path / "other"
     other.mkdir()
     (other / "manifest.json").write_text(json.dumps({"format": "sfsnet_dr.pseudo_labels.9"}))

@@ -15,25 +15,25 @@ from hypothesis import strategies as st
 
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.data.batch import FaceBatch
-from sfsnet_dr.data.mixed_batch import MixedBatch, RealOptions
+from sfsnet_dr.data.mixed_batch import MixedBatch, PseudoLabelOptions
 from sfsnet_dr.data.normal_dataset import (
     USUAL_ALBEDO,
     IdentitySplit,
-    SurfaceFaces,
-    SurfaceOptions,
+    NormalLabelFaces,
+    NormalLabelOptions,
     fold_of,
-    load_learnt,
+    load_training_subjects,
     read_split,
     split_subjects,
 )
 from sfsnet_dr.data.transforms.background import Augmentation
-from sfsnet_dr.data.transforms.crop import View
-from sfsnet_dr.losses.sfsnet import LARGEST_FACTOR, LossWeights, at_scale_of, mixed_loss
+from sfsnet_dr.data.transforms.crop import Crop
+from sfsnet_dr.losses.sfsnet import LARGEST_FACTOR, LossWeights, match_albedo_scale, mixed_loss
 from sfsnet_dr.models.base import NetworkOutput
 from sfsnet_dr.models.weights import read_metadata, save_weights
 from sfsnet_dr.render.shading_torch import f_render
 from sfsnet_dr.train.config import ComputeRecipe, ModelRecipe, Recipe, read_recipe
-from sfsnet_dr.train.sources import real_part
+from sfsnet_dr.train.sources import configure_sources
 from sfsnet_dr.train.step import training_step
 from sfsnet_dr.train.trainer import train
 
@@ -43,13 +43,13 @@ RECIPE = Recipe(
     checkpoint_every=2,
     model=ModelRecipe(stem=4, features=8, blocks=1),
     data=Augmentation(lights=4, size=SIZE),
-    surfaces=SurfaceOptions(share=0.5, folds=2),
+    surfaces=NormalLabelOptions(share=0.5, folds=2),
     compute=ComputeRecipe(precision="float32", loss_backend="torch"),
 )
 
 
 def test_flips_and_exposure_keep_labels_and_pictures_together() -> None:
-    faces = SurfaceFaces([face(name) for name in SUBJECTS], 8, SurfaceOptions(exposure=1.0), seed=0)
+    faces = NormalLabelFaces([face(name) for name in SUBJECTS], 8, NormalLabelOptions(exposure=1.0), seed=0)
     for step in range(3):
         batch, confidence, *_ = faces.batch(step)
         drawn = f_render(batch.normal, batch.albedo, batch.light)
@@ -59,15 +59,19 @@ def test_flips_and_exposure_keep_labels_and_pictures_together() -> None:
         assert (batch.image[:, :1] == batch.image).all()
         assert (batch.light[:, :9] == batch.light[:, 9:18]).all()
         assert confidence.min() == 0.5
-    turned = SurfaceFaces([face("a1")], 4, SurfaceOptions(flip=1.0, exposure=0.0), seed=0).batch(0).faces
-    plain = SurfaceFaces([face("a1")], 4, SurfaceOptions(flip=0.0, exposure=0.0), seed=0).batch(0).faces
+    turned = (
+        NormalLabelFaces([face("a1")], 4, NormalLabelOptions(flip=1.0, exposure=0.0), seed=0).batch(0).faces
+    )
+    plain = (
+        NormalLabelFaces([face("a1")], 4, NormalLabelOptions(flip=0.0, exposure=0.0), seed=0).batch(0).faces
+    )
     torch.testing.assert_close(turned.image.flip(-1), plain.image, rtol=1e-5, atol=1e-6)
     assert torch.equal(turned.normal[:, 0].flip(-1), -plain.normal[:, 0])
 
 
 def test_batches_are_functions_of_the_step_and_see_every_picture() -> None:
     faces = [face(name) for name in SUBJECTS[:2]]
-    first, second = (SurfaceFaces(faces, 4, SurfaceOptions(), seed=3) for _ in range(2))
+    first, second = (NormalLabelFaces(faces, 4, NormalLabelOptions(), seed=3) for _ in range(2))
     assert torch.equal(first.batch(5).faces.image, second.batch(5).faces.image)
     assert sorted(first.names(0) + first.names(1)) == sorted(f"{f.name}: {x}" for f in faces for x in "abcd")
     halves = [first.batch(2, rank, 2).faces.image for rank in range(2)]
@@ -81,7 +85,7 @@ def test_batches_are_functions_of_the_step_and_see_every_picture() -> None:
 )
 @settings(max_examples=60, deadline=None)
 def test_a_split_never_leaks(names: set[str], folds: int, fold: int) -> None:
-    options = SurfaceOptions(share=0.5, folds=folds, fold=fold % folds)
+    options = NormalLabelOptions(share=0.5, folds=folds, fold=fold % folds)
     try:
         split = split_subjects(names, options, "x")
     except InputError:
@@ -97,9 +101,9 @@ def test_a_split_never_leaks(names: set[str], folds: int, fold: int) -> None:
 def test_training_sees_no_picture_of_anybody_held_back(surfaces: Path) -> None:
     seen = set()
     for fold in range(2):
-        options = SurfaceOptions(share=0.5, folds=2, fold=fold)
-        faces, split = load_learnt(surfaces, options, View(8))
-        batches = SurfaceFaces(faces, 4, options, seed=0)
+        options = NormalLabelOptions(share=0.5, folds=2, fold=fold)
+        faces, split = load_training_subjects(surfaces, options, Crop(8))
+        batches = NormalLabelFaces(faces, 4, options, seed=0)
         assert batches.pixels == (8, 8)
         names = {name.split(":")[0] for step in range(12) for name in batches.names(step)}
         assert names == set(split.learnt)
@@ -109,7 +113,7 @@ def test_training_sees_no_picture_of_anybody_held_back(surfaces: Path) -> None:
 
 
 def test_albedo_and_light_count_up_to_a_factor(surfaces: Path) -> None:
-    real = SurfaceFaces([face("a2")], 4, SurfaceOptions(), seed=0).batch(0)
+    real = NormalLabelFaces([face("a2")], 4, NormalLabelOptions(), seed=0).batch(0)
     batch = real.faces
     true = NetworkOutput(batch.normal, 1.8 * batch.albedo, batch.light / 1.8)
     both = NetworkOutput(*(torch.cat([part, part]) for part in true))
@@ -126,12 +130,12 @@ def test_albedo_and_light_count_up_to_a_factor(surfaces: Path) -> None:
 
 def test_the_median_capture_has_the_albedo_of_usual_skin() -> None:
     """One factor for all captures, so that they keep what they differ by; light has its inverse."""
-    options = SurfaceOptions(flip=0.0, exposure=0.0)
+    options = NormalLabelOptions(flip=0.0, exposure=0.0)
     labels = [face(name) for name in SUBJECTS[:3]]
     dark = [replace(part, albedo=0.05 * part.albedo, gain=20 * part.gain) for part in labels]
     means = []
     for kind in (labels, dark):
-        first = SurfaceFaces(kind, 12, options, seed=0).batch(0).faces
+        first = NormalLabelFaces(kind, 12, options, seed=0).batch(0).faces
         drawn = f_render(first.normal, first.albedo, first.light)
         assert float((drawn - first.image)[first.image < 0.999].abs().max()) < 2e-3
         weight = first.mask / first.mask.sum((1, 2, 3), keepdim=True)
@@ -143,10 +147,10 @@ def test_the_median_capture_has_the_albedo_of_usual_skin() -> None:
 
 def test_a_smooth_answer_is_not_told_to_be_darker() -> None:
     """It would be by a scale of least squares: detail that the answer lacks makes that one small."""
-    real = SurfaceFaces([face("a2")], 4, SurfaceOptions(), seed=0).batch(0)
+    real = NormalLabelFaces([face("a2")], 4, NormalLabelOptions(), seed=0).batch(0)
     weight = real.faces.mask * real.confidence
     answer = NetworkOutput(real.faces.normal, torch.full_like(real.faces.albedo, 0.25), real.faces.light)
-    labels = at_scale_of(answer, real)
+    labels = match_albedo_scale(answer, real)
     told, said = ((weight * part).sum((1, 2, 3)) for part in (labels.albedo, answer.albedo))
     torch.testing.assert_close(told, said)
     factor = labels.albedo[:, 0, 4, 4] / real.faces.albedo[:, 0, 4, 4]
@@ -155,7 +159,7 @@ def test_a_smooth_answer_is_not_told_to_be_darker() -> None:
         (weight * real.faces.albedo * part).sum((1, 2, 3)) for part in (answer.albedo, real.faces.albedo)
     )
     assert (product / power < 0.97 * factor).all()
-    sunk = at_scale_of(answer._replace(albedo=0.1 * real.faces.albedo), real)
+    sunk = match_albedo_scale(answer._replace(albedo=0.1 * real.faces.albedo), real)
     torch.testing.assert_close(sunk.albedo, real.faces.albedo / LARGEST_FACTOR)
 
 
@@ -189,7 +193,7 @@ def test_a_fine_tuning_is_resumed_to_the_bit_and_tells_its_split(
 
 
 def test_one_part_holds_nobody_back(surfaces: Path) -> None:
-    faces, split = load_learnt(surfaces, SurfaceOptions(share=0.5, folds=1))
+    faces, split = load_training_subjects(surfaces, NormalLabelOptions(share=0.5, folds=1))
     assert [face.subject for face in faces] == list(split.learnt) == list(SUBJECTS)
     assert split.held_back == ()
 
@@ -198,13 +202,13 @@ def test_weights_tell_whose_pictures_and_whose_truth_they_know(surfaces: Path, t
     """Pictures of those held back may have been learnt from, their truth may not; truth stays told."""
 
     def weights(folds: int, fold: int, lamps_by: str) -> Path:
-        split = split_subjects(SUBJECTS, SurfaceOptions(folds=folds, fold=fold), "balls")
+        split = split_subjects(SUBJECTS, NormalLabelOptions(folds=folds, fold=fold), "balls")
         path = tmp_path / f"{folds}-{fold}-{lamps_by}.safetensors"
         save_weights(path, RECIPE.make_model(), {"surfaces": replace(split, lamps_by=lamps_by).metadata})
         return path
 
     def begun(start: Path, surfaces: Path = surfaces) -> IdentitySplit | None:
-        return read_split(real_part(RECIPE, None, surfaces, start).metadata)
+        return read_split(configure_sources(RECIPE, None, surfaces, start).metadata)
 
     dealt = split_subjects(SUBJECTS, RECIPE.surfaces, "balls")
     assert begun(weights(1, 0, "skipnet")) == replace(dealt, seen=dealt.held_back)
@@ -222,27 +226,27 @@ def test_weights_tell_whose_pictures_and_whose_truth_they_know(surfaces: Path, t
 
 def test_bad_fine_tunings_are_told(surfaces: Path, spheres: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"surfaces: 1 subject found, two are needed"):
-        load_learnt(write_faces(tmp_path / "one", SUBJECTS[:1]), RECIPE.surfaces)
+        load_training_subjects(write_faces(tmp_path / "one", SUBJECTS[:1]), RECIPE.surfaces)
     alike = [n for n in (f"p{k}" for k in range(40)) if fold_of(n, 2) == 0]
     with pytest.raises(InputError, match=r"all of .* subjects would be held back by fold 0 of 2"):
-        split_subjects(alike, SurfaceOptions(folds=2), "x")
+        split_subjects(alike, NormalLabelOptions(folds=2), "x")
     with pytest.raises(InputError, match=r"none of .* subjects would be held back by fold 1 of 2"):
-        split_subjects(alike, SurfaceOptions(folds=2, fold=1), "x")
+        split_subjects(alike, NormalLabelOptions(folds=2, fold=1), "x")
     with pytest.raises(InputError, match=r"surfaces\.fold: 4 found, 0 to 3 allowed"):
-        SurfaceOptions(fold=4)
+        NormalLabelOptions(fold=4)
     with pytest.raises(InputError, match=r"surfaces\.share: 0\.5 in the recipe and no folder of labels"):
         train(RECIPE, spheres, tmp_path / "out", progress=False)
     with pytest.raises(InputError, match="2 and 2 of 4 images found, rendered faces are needed too"):
-        replace(RECIPE, real=RealOptions(share=0.5))
+        replace(RECIPE, real=PseudoLabelOptions(share=0.5))
     with pytest.raises(InputError, match="'display' found, 'linear' is needed"):
-        replace(RECIPE, real=RealOptions(values="display"))
+        replace(RECIPE, real=PseudoLabelOptions(values="display"))
     with pytest.raises(InputError, match=r"16 x 16 pixels found, a square of 22 .*; see data\.size"):
-        load_learnt(surfaces, RECIPE.surfaces, View(16, 96))
+        load_training_subjects(surfaces, RECIPE.surfaces, Crop(16, 96))
     older = write_faces(tmp_path / "older", SUBJECTS[:2])
     index = json.loads((older / "surfaces.json").read_text()) | {"format": "sfsnet_dr.surfaces.0"}
     (older / "surfaces.json").write_text(json.dumps(index))
     with pytest.raises(InputError, match=r"format 'sfsnet_dr\.surfaces\.0' found"):
-        load_learnt(older, RECIPE.surfaces)
+        load_training_subjects(older, RECIPE.surfaces)
     (tmp_path / "r.toml").write_text("steps = 1\n[surfaces]\nfoldz = 3\n")
     with pytest.raises(InputError, match="unknown key 'foldz'"):
         read_recipe(tmp_path / "r.toml")

@@ -12,9 +12,9 @@ from helpers.look_alikes import ANGLES, crop_normals, write_photoface, write_yal
 from sfsnet_dr.cli.main import main
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.data.databases.registry import open_database
-from sfsnet_dr.data.normal_labels import light_labels, load_surfaces, read_index
-from sfsnet_dr.experiments.photometric_stereo.captures import read_captures
-from sfsnet_dr.experiments.photometric_stereo.run import label_surfaces
+from sfsnet_dr.data.normal_labels import light_labels, load_normal_labels, read_index
+from sfsnet_dr.experiments.photometric_stereo.captures import read_image_sets
+from sfsnet_dr.experiments.photometric_stereo.run import compute_normal_labels
 from sfsnet_dr.metrics.normals import angles_deg
 from sfsnet_dr.sh.coefficients import Shading
 
@@ -28,7 +28,7 @@ def test_a_command_makes_labels_that_are_right(tmp_path: Path, capsys: pytest.Ca
     assert records["stereo.yale_b.captures"] == 2
     assert records["stereo.yale_b.skipped"] == 1
     assert records["stereo.yale_b.halves_deg"] < 1  # 8-bit steps
-    faces = load_surfaces(out)
+    faces = load_normal_labels(out)
     assert [face.subject for face in faces] == ["yaleB01", "yaleB02"]
     assert faces[0].images.shape == (len(ANGLES) - 1, 3, 128, 128)
     for face, albedo in zip(faces, (0.8, 0.7), strict=True):
@@ -49,23 +49,23 @@ def test_a_command_makes_labels_that_are_right(tmp_path: Path, capsys: pytest.Ca
 
 
 def test_four_lights_are_enough(tmp_path: Path) -> None:
-    found = label_surfaces(read_captures(open_database("photoface", write_photoface(tmp_path))))
+    found = compute_normal_labels(read_image_sets(open_database("photoface", write_photoface(tmp_path))))
     assert len(found.labels) == 1
     assert np.isnan(found.halves[0])
     assert found.strobes.oblique == 0
 
 
 def test_changed_or_missing_labels_are_refused(tmp_path: Path) -> None:
-    label_surfaces(
-        read_captures(open_database("photoface", write_photoface(tmp_path / "in"))), tmp_path / "out"
+    compute_normal_labels(
+        read_image_sets(open_database("photoface", write_photoface(tmp_path / "in"))), tmp_path / "out"
     )
-    (face,) = load_surfaces(tmp_path / "out")
+    (face,) = load_normal_labels(tmp_path / "out")
     path = next((tmp_path / "out").glob("*.safetensors"))
     path.write_bytes(path.read_bytes()[:-1] + b"x")
     with pytest.raises(InputError, match="changed since"):
-        load_surfaces(tmp_path / "out")
+        load_normal_labels(tmp_path / "out")
     with pytest.raises(InputError, match="no surfaces"):
-        load_surfaces(tmp_path / "in")
+        load_normal_labels(tmp_path / "in")
     assert face.name == "1001/2008-02-23_11-23-00"
 
 

@@ -12,8 +12,8 @@ from sfsnet_dr.cli.main import main
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.data.bundle import read_bundle
 from sfsnet_dr.data.normal_labels import head_normals, mean_normals
-from sfsnet_dr.data.transforms.crop import View
-from sfsnet_dr.data.transforms.flip import flip_normal
+from sfsnet_dr.data.transforms.crop import Crop
+from sfsnet_dr.data.transforms.mirror import mirror_normal
 
 
 def test_the_mean_of_one_head_is_that_head_and_its_mirror_image(tmp_path: Path) -> None:
@@ -21,15 +21,15 @@ def test_the_mean_of_one_head_is_that_head_and_its_mirror_image(tmp_path: Path) 
     bundle = read_bundle(next(folder.glob("*.exr")))
     found = mean_normals(folder)
     assert found.shape == (3, 128, 128)
-    torch.testing.assert_close(flip_normal(found), found)
+    torch.testing.assert_close(mirror_normal(found), found)
     skin = torch.from_numpy(bundle.mask)[None].float()
-    shown = View(skin.shape[-1]).spread(torch.from_numpy(bundle.normal).movedim(-1, 0).float() * skin, 128)
+    shown = Crop(skin.shape[-1]).invert(torch.from_numpy(bundle.normal).movedim(-1, 0).float() * skin, 128)
     inside = found.abs().sum(0) > 0
     assert 0.1 < inside.float().mean() < 1
     assert not inside[0, 0]
-    cover = View(skin.shape[-1]).spread(skin, 128)[0]
+    cover = Crop(skin.shape[-1]).invert(skin, 128)[0]
     whole = torch.minimum(cover, cover.flip(-1)) > 0.999
-    expected = (shown + flip_normal(shown)) / 2
+    expected = (shown + mirror_normal(shown)) / 2
     torch.testing.assert_close(found[:, whole], expected[:, whole], rtol=0, atol=1e-3)
     both = mean_normals([folder, write_spheres(tmp_path / "more", 3)])
     assert not torch.equal(both, found)
@@ -46,7 +46,7 @@ def test_single_heads_are_those_of_the_mean(tmp_path: Path) -> None:
     torch.testing.assert_close(normal[known].norm(dim=1).median().item(), 1.0, rtol=0, atol=0.01)
     one = mean_normals(write_spheres(tmp_path / "one", 1)).movedim(0, -1)
     both = known & known.flip(-1)
-    mirrored = (normal + flip_normal(normal.movedim(-1, 0)).movedim(0, -1)) / 2
+    mirrored = (normal + mirror_normal(normal.movedim(-1, 0)).movedim(0, -1)) / 2
     torch.testing.assert_close(one[both].double(), mirrored[both], rtol=0, atol=0.01)  # pixels .99 skin count
 
 

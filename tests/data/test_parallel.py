@@ -16,7 +16,7 @@ import pytest
 
 from sfsnet_dr.core.errors import InputError, RunError
 from sfsnet_dr.data import parallel
-from sfsnet_dr.data.parallel import LIFETIME, Crew, Here, OnRay, choose
+from sfsnet_dr.data.parallel import LIFETIME, InProcess, ProcessPool, RayWorkers, choose_workers
 
 ray_is_here = pytest.mark.skipif(find_spec("ray") is None, reason="the extra `distributed` is not installed")
 
@@ -43,20 +43,20 @@ def end(how: str, seed: int) -> int:
 
 def test_a_crew_answers_as_this_process_does() -> None:
     seeds = range(3, 9)
-    assert list(Here().run(square, seeds)) == [(k, k * k) for k in seeds]
-    assert sorted(Crew(2).run(square, seeds)) == [(k, k * k) for k in seeds]
-    assert list(Crew(2).run(square, [])) == []
+    assert list(InProcess().run(square, seeds)) == [(k, k * k) for k in seeds]
+    assert sorted(ProcessPool(2).run(square, seeds)) == [(k, k * k) for k in seeds]
+    assert list(ProcessPool(2).run(square, [])) == []
 
 
 def test_processes_are_replaced() -> None:
-    shares = Counter(pid for _, pid in Crew(1, lifetime=2).run(process, range(5)))
+    shares = Counter(pid for _, pid in ProcessPool(1, lifetime=2).run(process, range(5)))
     assert os.getpid() not in shares
     assert sorted(shares.values()) == [1, 2, 2]
 
 
 def test_a_long_run_replaces_its_processes_unasked() -> None:
     """As ``synth --count 450`` would: one worker, but not this process, and none does more than its share."""
-    shares = Counter(pid for _, pid in choose(1, 450).run(process, range(450)))
+    shares = Counter(pid for _, pid in choose_workers(1, 450).run(process, range(450)))
     assert os.getpid() not in shares
     assert sorted(shares.values()) == [50, LIFETIME, LIFETIME]
 
@@ -73,7 +73,7 @@ def test_a_long_run_replaces_its_processes_unasked() -> None:
 def test_a_failure_says_which_seed_and_why(how: str, kind: type[Exception], words: str) -> None:
     answers: list[tuple[int, int]] = []
     with pytest.raises(kind, match=words) as caught:
-        answers.extend(Crew(1).run(partial(end, how), [0, 1, 2, 3]))
+        answers.extend(ProcessPool(1).run(partial(end, how), [0, 1, 2, 3]))
     assert answers == [(0, 0), (1, 1)]  # what came before is not lost
     if how == "bug":
         [note] = caught.value.__notes__
@@ -118,9 +118,9 @@ def alive(pid: int) -> bool:
 
 
 def test_one_worker_is_this_process_while_it_need_not_be_replaced() -> None:
-    assert isinstance(choose(1, 5, lifetime=5), Here)
-    assert isinstance(choose(1, 6, lifetime=5), Crew)
-    assert isinstance(choose(2, 5), Crew)
+    assert isinstance(choose_workers(1, 5, lifetime=5), InProcess)
+    assert isinstance(choose_workers(1, 6, lifetime=5), ProcessPool)
+    assert isinstance(choose_workers(2, 5), ProcessPool)
 
 
 def test_without_ray_the_line_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -128,7 +128,7 @@ def test_without_ray_the_line_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch
     with pytest.raises(
         InputError, match=r"Ray is not installed; run `pip install 'sfsnet_dr\[distributed\]'`"
     ):
-        choose(1, 1, "local")
+        choose_workers(1, 1, "local")
 
 
 @ray_is_here
@@ -137,11 +137,11 @@ def test_without_ray_the_line_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch
 class TestOnRay:
     def test_it_answers_as_this_process_does(self) -> None:
         seeds = range(4)
-        answers = dict(OnRay("local", 2, lifetime=2).run(square, seeds))
+        answers = dict(RayWorkers("local", 2, lifetime=2).run(square, seeds))
         assert answers == {k: k * k for k in seeds}
 
     def test_processes_are_replaced(self) -> None:
-        shares = Counter(pid for _, pid in OnRay("local", 1, lifetime=2).run(process, range(4)))
+        shares = Counter(pid for _, pid in RayWorkers("local", 1, lifetime=2).run(process, range(4)))
         assert max(shares.values()) <= 2
 
     @pytest.mark.parametrize(
@@ -150,8 +150,8 @@ class TestOnRay:
     )
     def test_a_failure_says_which_seed(self, how: str, kind: type[Exception], words: str) -> None:
         with pytest.raises(kind, match=words):
-            list(OnRay("local", 1).run(partial(end, how), [0, 1, 2, 3]))
+            list(RayWorkers("local", 1).run(partial(end, how), [0, 1, 2, 3]))
 
     def test_an_address_without_ray_is_bad_input(self) -> None:
         with pytest.raises(InputError, match=r"--ray 127\.0\.0\.1:1: no Ray found there"):
-            list(OnRay("127.0.0.1:1", 1).run(square, [0]))
+            list(RayWorkers("127.0.0.1:1", 1).run(square, [0]))

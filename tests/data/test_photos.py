@@ -11,8 +11,8 @@ import pytest
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.core.image_io import write_png
 from sfsnet_dr.data.alignment import canonical_landmarks, eye_centres, skin_mask
-from sfsnet_dr.data.photos import hold_back, list_photos, load_photos
-from sfsnet_dr.data.transforms.crop import View
+from sfsnet_dr.data.photos import list_photos, load_photos, split_holdout
+from sfsnet_dr.data.transforms.crop import Crop
 
 Array = npt.NDArray[np.float64]
 
@@ -77,7 +77,7 @@ def test_the_mask_is_the_face_without_eyes_and_mouth(size: int) -> None:
 
 def test_a_constant_picture_stays_what_it_is(tmp_path: Path) -> None:
     photos, skipped = list_photos(write_photos(tmp_path / "p", 2))
-    loaded = load_photos(photos, View(32))
+    loaded = load_photos(photos, Crop(32))
     assert not skipped
     assert not loaded.skipped
     assert tuple(loaded.images.shape) == (2, 3, 32, 32)
@@ -99,7 +99,7 @@ def test_what_cannot_be_used_is_told_and_left_out(tmp_path: Path) -> None:
     (folder / "002.png").write_bytes(b"this is no picture")
     photos, skipped = list_photos(folder)
     assert [(s.name, s.reason.split()[1]) for s in skipped] == [("001.png", "landmarks"), ("004.png", "name")]
-    loaded = load_photos(photos, View(16))
+    loaded = load_photos(photos, Crop(16))
     assert loaded.names == ("000.png", "003.png")
     assert [s.name for s in loaded.skipped] == ["002.png"]
     assert "002.png" in loaded.skipped[0].reason
@@ -114,14 +114,14 @@ def test_folders_of_folders_are_joined(tmp_path: Path) -> None:
 
 def test_the_split_keeps_its_mind(tmp_path: Path) -> None:
     photos, _ = list_photos(write_photos(tmp_path / "p", 20))
-    train, held = hold_back(photos, 5)
+    train, held = split_holdout(photos, 5)
     assert len(held) == 5
     assert {p.name for p in train} | {p.name for p in held} == {p.name for p in photos}
-    again = hold_back(photos[:-1], 5)[1]
+    again = split_holdout(photos[:-1], 5)[1]
     assert len({p.name for p in held} & {p.name for p in again}) >= 4  # one more may move up
-    assert {p.name for p in hold_back(photos, 5, seed=1)[1]} != {p.name for p in held}
+    assert {p.name for p in split_holdout(photos, 5, seed=1)[1]} != {p.name for p in held}
     with pytest.raises(InputError, match="10 of 20 photographs"):
-        hold_back(photos, 10)
+        split_holdout(photos, 10)
 
 
 def without_landmarks(folder: Path) -> Path:

@@ -12,14 +12,14 @@ from helpers.spheres import sphere_bundle
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.data.relight import relight_bundle
 from sfsnet_dr.data.transforms.camera import PhotoOptions
-from sfsnet_dr.data.transforms.flip import flip_map, flip_normal, flip_transport, x_parity
+from sfsnet_dr.data.transforms.mirror import mirror_map, mirror_normal, mirror_transport, x_parity
 from sfsnet_dr.render.transport_shading import (
     relight_batch,
     relight_responses,
     relight_transport,
     response_weights,
 )
-from sfsnet_dr.scene.lights.light import Light, heading, rotation_about
+from sfsnet_dr.scene.lights.light import Light, direction_from_angles, rotation_about
 from sfsnet_dr.sh.basis import sh_basis
 from sfsnet_dr.sh.coefficients import Radiance
 
@@ -80,31 +80,39 @@ def test_the_reflected_face_under_the_reflected_light_is_the_reflected_picture()
     light = torch.from_numpy(np.random.default_rng(0).normal(size=(1, 9, 3)))
     mirrored = light * torch.from_numpy(x_parity(2))[:, None]
     picture = relight_batch(transport, light)
-    assert (picture - flip_map(picture)).abs().max() > 0.1
+    assert (picture - mirror_map(picture)).abs().max() > 0.1
     torch.testing.assert_close(
-        relight_batch(flip_transport(transport), mirrored), flip_map(picture), atol=0, rtol=0
+        relight_batch(mirror_transport(transport), mirrored), mirror_map(picture), atol=0, rtol=0
     )
 
 
 def test_reflected_normals_shade_as_the_reflected_transport() -> None:
     bundle = sphere_bundle(4)
     light = Radiance(np.random.default_rng(0).normal(size=(9, 3)))
-    normal = flip_normal(torch.from_numpy(np.moveaxis(bundle.normal, -1, 0).copy())).numpy()
+    normal = mirror_normal(torch.from_numpy(np.moveaxis(bundle.normal, -1, 0).copy())).numpy()
     albedo = bundle.albedo[:, ::-1]
     expected = albedo * light.to_shading().evaluate(np.moveaxis(normal, 0, -1).astype(np.float64))
-    transport = flip_transport(torch.from_numpy(np.moveaxis(bundle.transport, -1, 1).copy())).numpy()
+    transport = mirror_transport(torch.from_numpy(np.moveaxis(bundle.transport, -1, 1).copy())).numpy()
     np.testing.assert_allclose(relight_transport(np.moveaxis(transport, 1, -1), light), expected, atol=2e-6)
 
 
 def lit() -> Light:
     """A dim room, a lamp of the bundle's own and one from elsewhere."""
     room = np.full((64, 128, 3), 0.2)
-    near = rotation_about(np.array([1.0, 0.0, 0.0]), 1.0) @ heading(30.0, 0.0)
-    return Light("lit", room, ((near, np.array([3.0, 2, 1])), (heading(-60.0, 10.0), np.ones(3))))
+    near = rotation_about(np.array([1.0, 0.0, 0.0]), 1.0) @ direction_from_angles(30.0, 0.0)
+    return Light(
+        "lit", room, ((near, np.array([3.0, 2, 1])), (direction_from_angles(-60.0, 10.0), np.ones(3)))
+    )
 
 
 def test_lamps_go_to_the_nearest_direction_or_into_the_coefficients() -> None:
-    directions = np.stack([heading(35.0, 0.0), heading(30.0, 0.0), heading(-50.0, 10.0)])
+    directions = np.stack(
+        [
+            direction_from_angles(35.0, 0.0),
+            direction_from_angles(30.0, 0.0),
+            direction_from_angles(-50.0, 10.0),
+        ]
+    )
     light = lit()
     mixed = response_weights(light, directions, 2)
     np.testing.assert_allclose(mixed.irradiance, [[0, 0, 0], [3, 2, 1], [0, 0, 0]])
@@ -117,7 +125,7 @@ def test_lamps_go_to_the_nearest_direction_or_into_the_coefficients() -> None:
 
 def test_a_scene_is_the_sum_of_its_responses() -> None:
     bundle, rng = sphere_bundle(1), np.random.default_rng(0)
-    directions = np.stack([heading(30.0, 0.0), heading(-50.0, 10.0)])
+    directions = np.stack([direction_from_angles(30.0, 0.0), direction_from_angles(-50.0, 10.0)])
     lamps = bundle.albedo * np.maximum(bundle.normal @ directions.T, 0).transpose(2, 0, 1)[..., None] / np.pi
     gloss = rng.uniform(size=(9, *bundle.mask.shape))
     mixed = response_weights(lit(), directions, 2)

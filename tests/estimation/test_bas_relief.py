@@ -7,7 +7,7 @@ import numpy.typing as npt
 import pytest
 
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.estimation.bas_relief import FEWEST_HEADS, usual_slopes
+from sfsnet_dr.estimation.bas_relief import FEWEST_HEADS, resolve_bas_relief_scale
 
 Array = npt.NDArray[np.float64]
 
@@ -36,35 +36,39 @@ def test_a_factor_is_found_whatever_the_albedo(factor: float) -> None:
     albedo = np.random.default_rng(0).uniform(0.2, 0.6, (SIZE, SIZE, 1))
     faces = [(albedo * head(seed, depth=1 / factor), ALL) for seed in range(100, 140)]
     # Slopes beyond the steepest are left out, of deep faces more: .81, 1.00 and 1.28 measured.
-    assert usual_slopes(faces, HEADS) == pytest.approx(factor, rel=0.03)
+    assert resolve_bas_relief_scale(faces, HEADS) == pytest.approx(factor, rel=0.03)
 
 
 def test_detail_that_lies_elsewhere_in_each_head_counts() -> None:
     """A mean head would be smooth, and a face as bumpy as all heads be taken for too steep."""
-    assert usual_slopes([(head(7), ALL)], HEADS) == pytest.approx(1.0, abs=0.02)
-    assert usual_slopes([(head(7), ALL)], [(head(), ALL)] * 20) < 0.98
+    assert resolve_bas_relief_scale([(head(7), ALL)], HEADS) == pytest.approx(1.0, abs=0.02)
+    assert resolve_bas_relief_scale([(head(7), ALL)], [(head(), ALL)] * 20) < 0.98
 
 
 def test_turned_heads_and_hidden_ones_have_no_say() -> None:
     flat = [(head(seed, depth=0.5, turned=25.0), ALL) for seed in range(40)]
     hidden = [(head(seed, depth=0.5), np.arange(SIZE)[None, :] < 20 + 0 * ALL) for seed in range(40)]
-    assert usual_slopes(HEADS, [*HEADS, *flat, *hidden]) == usual_slopes(HEADS, HEADS) == 1.0
+    assert (
+        resolve_bas_relief_scale(HEADS, [*HEADS, *flat, *hidden])
+        == resolve_bas_relief_scale(HEADS, HEADS)
+        == 1.0
+    )
 
 
 def test_pixels_that_few_faces_know_have_no_say() -> None:
     known = ALL.copy()
     known[:, 19:29] = False
     wrong = [(np.where(known[..., None], head(seed), [0.8, 0.0, 0.6]), known) for seed in range(40)]
-    assert usual_slopes(wrong, HEADS) == pytest.approx(1.0, abs=0.01)
+    assert resolve_bas_relief_scale(wrong, HEADS) == pytest.approx(1.0, abs=0.01)
 
 
 def test_it_says_nothing_of_nothing_and_never_much() -> None:
-    assert usual_slopes([], HEADS) == 1.0
-    assert usual_slopes([(head(), ~ALL)], HEADS) == 1.0
-    assert usual_slopes([(head(depth=0.1), ALL)], HEADS) == 1.5
-    assert usual_slopes([(head(depth=1.0), ALL)], [(head(depth=0.2), ALL)] * FEWEST_HEADS) == 0.7
+    assert resolve_bas_relief_scale([], HEADS) == 1.0
+    assert resolve_bas_relief_scale([(head(), ~ALL)], HEADS) == 1.0
+    assert resolve_bas_relief_scale([(head(depth=0.1), ALL)], HEADS) == 1.5
+    assert resolve_bas_relief_scale([(head(depth=1.0), ALL)], [(head(depth=0.2), ALL)] * FEWEST_HEADS) == 0.7
 
 
 def test_too_few_heads_are_refused() -> None:
     with pytest.raises(InputError, match="heads: 19 found that look ahead"):
-        usual_slopes(HEADS, HEADS[:19])
+        resolve_bas_relief_scale(HEADS, HEADS[:19])

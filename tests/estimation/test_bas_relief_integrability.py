@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from sfsnet_dr.estimation.bas_relief import vertical_stretch
+from sfsnet_dr.estimation.bas_relief import vertical_scale_from_integrability
 
 Array = npt.NDArray[np.float64]
 
@@ -33,7 +33,9 @@ def surface(seed: int, noise: float = 0.0) -> tuple[Array, npt.NDArray[np.bool_]
 @pytest.mark.parametrize("ratio", [0.85, 1.0, 1.2])
 def test_a_stretch_is_undone(ratio: float) -> None:
     faces = [(normal / np.array([1, ratio, 1]), mask) for normal, mask in map(surface, range(3))]
-    assert vertical_stretch(faces) == pytest.approx(ratio, abs=0.005)  # what finite differences leave
+    assert vertical_scale_from_integrability(faces) == pytest.approx(
+        ratio, abs=0.005
+    )  # what finite differences leave
 
 
 def test_noise_and_wrong_pixels_move_it_little() -> None:
@@ -42,19 +44,23 @@ def test_noise_and_wrong_pixels_move_it_little() -> None:
         normal, mask = surface(seed, noise=0.01)
         normal[40:50, 20:30] = [0.0, 0.0, 0.5]
         faces.append((normal / np.array([1, 1.15, 1]), mask))
-    assert vertical_stretch(faces) == pytest.approx(1.15, abs=0.05)
+    assert vertical_scale_from_integrability(faces) == pytest.approx(1.15, abs=0.05)
 
 
 def test_noise_in_both_slopes_does_not_draw_the_ratio_to_1() -> None:
     faces = [surface(seed, noise=0.02) for seed in range(4)]
     flat = [(normal / np.array([1, 1.15, 1]), mask) for normal, mask in faces]
-    assert vertical_stretch(flat) == pytest.approx(1.15, abs=0.01)  # 1.131 without the average
+    assert vertical_scale_from_integrability(flat) == pytest.approx(
+        1.15, abs=0.01
+    )  # 1.131 without the average
 
 
 def test_what_it_cannot_tell_stays() -> None:
     """Depth and a stretch of both axes keep the rule of surfaces; faces of few pixels say nothing."""
     normal, mask = surface(0)
     for factors in ([1, 1, 0.7], [1.2, 1.2, 1]):
-        assert vertical_stretch([(normal * np.array(factors), mask)]) == pytest.approx(1.0, abs=0.005)
-    assert vertical_stretch([]) == 1.0
-    assert vertical_stretch([(normal, np.zeros_like(mask))]) == 1.0
+        assert vertical_scale_from_integrability([(normal * np.array(factors), mask)]) == pytest.approx(
+            1.0, abs=0.005
+        )
+    assert vertical_scale_from_integrability([]) == 1.0
+    assert vertical_scale_from_integrability([(normal, np.zeros_like(mask))]) == 1.0

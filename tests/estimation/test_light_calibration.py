@@ -19,13 +19,13 @@ from sfsnet_dr.cli.main import main
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.data.databases.base import heading
 from sfsnet_dr.data.databases.yale_b import list_yale_b
-from sfsnet_dr.data.normal_dataset import SurfaceOptions, load_learnt, read_split
-from sfsnet_dr.data.normal_labels import light_labels, load_surfaces, read_index
-from sfsnet_dr.estimation.light_calibration import Guess, Lamps, find_lamps
+from sfsnet_dr.data.normal_dataset import NormalLabelOptions, load_training_subjects, read_split
+from sfsnet_dr.data.normal_labels import light_labels, load_normal_labels, read_index
+from sfsnet_dr.estimation.light_calibration import CalibratedLights, InitialNormals, calibrate_lights
 from sfsnet_dr.experiments.photometric_stereo import uncalibrated
-from sfsnet_dr.experiments.photometric_stereo.captures import read_captures
-from sfsnet_dr.experiments.photometric_stereo.uncalibrated import lamp_errors, with_found_lamps
-from sfsnet_dr.inference.methods import Answer
+from sfsnet_dr.experiments.photometric_stereo.captures import read_image_sets
+from sfsnet_dr.experiments.photometric_stereo.uncalibrated import calibrate_image_sets, light_direction_errors
+from sfsnet_dr.inference.methods import Prediction
 from sfsnet_dr.metrics.normals import angles_deg
 from sfsnet_dr.models.sfsnet import SfSNet
 from sfsnet_dr.models.weights import save_weights
@@ -53,16 +53,16 @@ def pitched(vectors: Array, degrees: float) -> Array:
 
 def guess(
     seed: int, pitch: float = 0.0, gain: float = 1.0, lamps: Array = LAMPS, wrong: Array | None = None
-) -> Guess:
+) -> InitialNormals:
     """A capture whose network takes everything to be pitched; ``wrong`` replaces its directions."""
     normal, albedo = face(seed)
     values = gain * albedo * np.maximum(normal @ lamps.T, 0)
     seen = pitched(lamps, pitch) if wrong is None else wrong
-    return Guess(values, NAMES[: len(lamps)], pitched(normal, pitch), seen)
+    return InitialNormals(values, NAMES[: len(lamps)], pitched(normal, pitch), seen)
 
 
-def errors(captures: Sequence[Guess]) -> Array:
-    found = find_lamps(captures)
+def errors(captures: Sequence[InitialNormals]) -> Array:
+    found = calibrate_lights(captures)
     return np.array([angles_deg(found.direction[name], LAMPS[NAMES.index(name)]) for name in found.direction])
 
 
@@ -78,7 +78,7 @@ def test_smooth_errors_of_the_guess_are_corrected_by_the_pictures() -> None:
     bent = np.stack([x - 0.3 * x * y, y + 0.3 * x * x, z], 1)
     bent /= np.linalg.norm(bent, axis=1, keepdims=True)
     assert angles_deg(bent, right.normal).mean() > 4
-    found = errors([Guess(right.values, right.lamps, bent, LAMPS)])
+    found = errors([InitialNormals(right.values, right.lamps, bent, LAMPS)])
     assert found.mean() < 2.2  # 1.5 measured
 
 
@@ -105,7 +105,7 @@ def test_captures_are_turned_to_where_heads_usually_face() -> None:
 
 def test_lamps_of_stretched_surfaces_explain_the_same_pictures() -> None:
     normal, albedo = face(3)
-    lamps = Lamps(dict(zip(NAMES, LAMPS, strict=True)), {}, dict.fromkeys(NAMES, 2.0))
+    lamps = CalibratedLights(dict(zip(NAMES, LAMPS, strict=True)), {}, dict.fromkeys(NAMES, 2.0))
     stretched = lamps.for_stretched(0.9, 1.2)
     for name, vector in zip(NAMES, LAMPS, strict=True):
         before = 2.0 * (albedo * normal) @ vector
@@ -121,18 +121,18 @@ def test_dark_skin_is_no_weak_lamp() -> None:
 def test_a_lamp_that_lights_nothing_is_told_and_left_out() -> None:
     lamps = LAMPS.copy()
     lamps[3] = [0.0, 0.3, -0.95]
-    found = find_lamps([guess(0, lamps=lamps / np.linalg.norm(lamps, axis=1, keepdims=True))])
+    found = calibrate_lights([guess(0, lamps=lamps / np.linalg.norm(lamps, axis=1, keepdims=True))])
     assert set(found.lost) == {NAMES[3]}
     assert NAMES[3] not in found.direction
     away = LAMPS.copy()
     away[0] = [0.0, 0.0, 1.0]  # the network sees it in front, the pictures at its side
-    found = find_lamps([guess(0, wrong=away)])
+    found = calibrate_lights([guess(0, wrong=away)])
     assert "degrees from where the network sees it" in found.lost[NAMES[0]]
 
 
 def test_too_few_lamps_are_refused() -> None:
     with pytest.raises(InputError, match="11 lamps at most found, 12 in one capture are needed"):
-        find_lamps([guess(0, lamps=LAMPS[:11])])
+        calibrate_lights([guess(0, lamps=LAMPS[:11])])
 
 
 class Oracle:
@@ -141,12 +141,12 @@ class Oracle:
     def __init__(self, name: str, weights: Path | str) -> None:
         self.name = name
 
-    def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Answer:
+    def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Prediction:
         """See ``Method``."""
         normal = torch.from_numpy(np.moveaxis(crop_normals(), -1, 0)).float()
         bright = (images * normal * masks).flatten(2).sum(2)
         light = light_labels(bright.double().numpy(), np.ones(len(images)))
-        return Answer(normal.expand_as(images), images, torch.from_numpy(light).float(), images)
+        return Prediction(normal.expand_as(images), images, torch.from_numpy(light).float(), images)
 
 
 @pytest.fixture
@@ -156,12 +156,12 @@ def oracle(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_database_is_told_where_its_lamps_were(tmp_path: Path, oracle: None) -> None:
     known = list_yale_b(write_yale_b(tmp_path / "yale", 2))
-    found = with_found_lamps(read_captures(known), "skipnet").listing
+    found = calibrate_image_sets(read_image_sets(known), "skipnet").listing
     assert found.lamps_by == "skipnet"
-    told = lamp_errors(known, found)
+    told = light_direction_errors(known, found)
     assert len(told) == len(ANGLES)
     assert max(told.values()) < 1.0  # 8 bits, and a frame interpolated from another
-    assert lamp_errors(known, known) == dict.fromkeys(told, 0.0)
+    assert light_direction_errors(known, known) == dict.fromkeys(told, 0.0)
 
 
 def test_labels_without_known_lamps_are_nearly_those_with(
@@ -176,11 +176,13 @@ def test_labels_without_known_lamps_are_nearly_those_with(
     assert records["stereo.yale_b.lamps_found_deg"] < 1.0
     assert read_index(tmp_path / "known")["lamps_by"] == ""
     assert read_index(tmp_path / "found")["lamps_by"] == "skipnet"
-    for one, other in zip(load_surfaces(tmp_path / "known"), load_surfaces(tmp_path / "found"), strict=True):
+    for one, other in zip(
+        load_normal_labels(tmp_path / "known"), load_normal_labels(tmp_path / "found"), strict=True
+    ):
         mask = (one.mask[0] > 0.5).numpy()
         a, b = (part.normal.permute(1, 2, 0).double().numpy()[mask] for part in (one, other))
         assert angles_deg(a, b).mean() < 1.0
-    _, split = load_learnt(tmp_path / "found", SurfaceOptions(share=0.5, folds=2))
+    _, split = load_training_subjects(tmp_path / "found", NormalLabelOptions(share=0.5, folds=2))
     assert split.lamps_by == "skipnet"
     assert read_split({"surfaces": split.metadata}) == split
 
@@ -189,7 +191,7 @@ def test_how_steep_faces_are_is_told_by_heads(
     tmp_path: Path, oracle: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A network that sees all faces too flat sees the lamps too oblique; heads on average are not flat."""
-    read = read_captures(list_yale_b(write_yale_b(tmp_path / "yale", 2)))
+    read = read_image_sets(list_yale_b(write_yale_b(tmp_path / "yale", 2)))
     known = torch.from_numpy(np.moveaxis(crop_normals(), -1, 0)).float()
     head = (crop_normals(), np.ones(crop_normals().shape[:2], bool))
     flat = (known / torch.tensor([1.2, 1.2, 1.0])[:, None, None]).numpy()
@@ -197,7 +199,13 @@ def test_how_steep_faces_are_is_told_by_heads(
     monkeypatch.setattr(uncalibrated, "mean_normals", lambda heads: 0.9 * known)
     monkeypatch.setattr(uncalibrated, "head_normals", lambda heads, most: [head] * most)
     told = [
-        np.mean(list(lamp_errors(read.listing, with_found_lamps(read, "skipnet", heads).listing).values()))
+        np.mean(
+            list(
+                light_direction_errors(
+                    read.listing, calibrate_image_sets(read, "skipnet", heads).listing
+                ).values()
+            )
+        )
         for heads in ((), ("heads",))
     ]
     assert told[0] > 3
@@ -208,7 +216,7 @@ def test_heads_tell_what_the_measure_of_a_stretch_makes_of_surfaces(
     tmp_path: Path, oracle: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where that measure finds heads 5 % too steep down a face, it is to find as much of people."""
-    read = read_captures(list_yale_b(write_yale_b(tmp_path / "yale", 2)))
+    read = read_image_sets(list_yale_b(write_yale_b(tmp_path / "yale", 2)))
     normals = crop_normals()
     usual = torch.from_numpy(np.moveaxis(normals, -1, 0)).float()
     monkeypatch.setattr(uncalibrated, "mean_normals", lambda heads: usual)
@@ -217,7 +225,7 @@ def test_heads_tell_what_the_measure_of_a_stretch_makes_of_surfaces(
     for factor in (1.0, 1.05):
         head = (normals * np.array([1, factor, 1]), np.ones(normals.shape[:2], bool))
         monkeypatch.setattr(uncalibrated, "head_normals", lambda heads, most, head=head: [head] * most)
-        listing = with_found_lamps(read, "skipnet", ("heads",)).listing
+        listing = calibrate_image_sets(read, "skipnet", ("heads",)).listing
         slopes.append([p.direction[1] / p.direction[2] for p in listing.photos if p.direction is not None])
     # Steeper faces and lamps nearer to the horizontal explain the same pictures.
     np.testing.assert_allclose(np.array(slopes[1]) * 1.05, slopes[0], atol=0.01)  # .002 by the search's end
@@ -228,7 +236,7 @@ def test_a_network_is_asked(tmp_path: Path) -> None:
     torch.manual_seed(0)
     save_weights(tmp_path / "w.safetensors", SfSNet(4, 4, 1), {"recipe": {"data": {"size": 32}}})
     known = list_yale_b(write_yale_b(tmp_path / "yale", 1))
-    found = with_found_lamps(read_captures(known), tmp_path / "w.safetensors").listing
+    found = calibrate_image_sets(read_image_sets(known), tmp_path / "w.safetensors").listing
     assert found.lamps_by == "w"
-    told = lamp_errors(known, found)
+    told = light_direction_errors(known, found)
     assert not told or np.mean(list(told.values())) > 5

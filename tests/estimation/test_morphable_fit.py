@@ -12,7 +12,13 @@ from scipy.spatial.transform import Rotation
 
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.estimation import morphable_fit as module
-from sfsnet_dr.estimation.morphable_fit import Placement, fit_landmarks, marking_offsets, placed, projected
+from sfsnet_dr.estimation.morphable_fit import (
+    Placement,
+    fit_landmarks,
+    marking_offsets,
+    place_model,
+    project_landmarks,
+)
 from sfsnet_dr.scene.faces.linear_model import FaceModes
 
 Array = npt.NDArray[np.float64]
@@ -42,7 +48,7 @@ def marks(model: FaceModes, faces: Placement) -> Array:
     """Landmarks (N, 68, 2) as a detector would give them; the jaw's on the vertices that stand out most."""
     rows = []
     for index in range(len(faces)):
-        seen = projected(placed(model, faces, index))
+        seen = project_landmarks(place_model(model, faces, index))
         inner, strips = seen[model.inner], seen[model.outline]
         outward = strips[:, 0] - inner.mean(axis=0)
         jaw = strips[np.arange(17), np.einsum("lcx,lx->lc", strips, outward).argmax(axis=1)]
@@ -58,7 +64,10 @@ def turned_apart(found: Placement, truth: Placement) -> Array:
 
 def surfaces_apart(model: FaceModes, found: Placement, truth: Placement) -> Array:
     """Root mean square distance of all vertices in canonical pixels, x and y."""
-    pairs = [(projected(placed(model, found, k)), projected(placed(model, truth, k))) for k in range(COUNT)]
+    pairs = [
+        (project_landmarks(place_model(model, found, k)), project_landmarks(place_model(model, truth, k)))
+        for k in range(COUNT)
+    ]
     return np.array([np.sqrt(((a - b) ** 2).sum(-1).mean()) for a, b in pairs])
 
 

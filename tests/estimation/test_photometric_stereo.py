@@ -7,7 +7,7 @@ import numpy.typing as npt
 import pytest
 
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.estimation.light_intensities import Shots, Strobes, estimate_strobes
+from sfsnet_dr.estimation.light_intensities import LightImages, LightIntensities, estimate_light_intensities
 from sfsnet_dr.estimation.photometric_stereo import photometric_stereo
 from sfsnet_dr.metrics.normals import angles_deg
 
@@ -105,9 +105,9 @@ def test_what_cannot_be_solved_is_refused(images: Array, lights: Array, said: st
         photometric_stereo(images, lights, np.ones(len(images)))
 
 
-def shots(lights: Array, gains: Array, albedo: float, size: int = 16) -> Shots:
+def shots(lights: Array, gains: Array, albedo: float, size: int = 16) -> LightImages:
     values = pictures(dome(size), np.array([albedo]), lights, gains).reshape(len(lights), -1).T
-    return Shots(values, lights, tuple(f"l{j}" for j in range(len(lights))))
+    return LightImages(values, lights, tuple(f"l{j}" for j in range(len(lights))))
 
 
 def test_strobes_and_the_oblique_gain_are_found_from_the_pictures() -> None:
@@ -118,7 +118,7 @@ def test_strobes_and_the_oblique_gain_are_found_from_the_pictures() -> None:
     slope = np.polyfit(lights[:, 2], np.log(strength), 1)[0]
     strength *= np.exp(-slope * (lights[:, 2] - lights[:, 2].mean()))  # what cannot be told from k
     gains = strength * (1 + 0.3 * (1 - lights[:, 2]))
-    found = estimate_strobes([shots(lights, gains, albedo, 24) for albedo in (0.3, 0.5)])
+    found = estimate_light_intensities([shots(lights, gains, albedo, 24) for albedo in (0.3, 0.5)])
     assert found.oblique == pytest.approx(0.3, abs=0.1)
     got = np.array([found.strength[f"l{j}"] for j in range(40)])
     assert np.std(np.log(got / strength)) < 0.02  # .08 without the estimate
@@ -127,7 +127,7 @@ def test_strobes_and_the_oblique_gain_are_found_from_the_pictures() -> None:
 
 def test_equal_lamps_on_a_lambertian_surface_are_found_equal() -> None:
     lights = ring(20)
-    found = estimate_strobes([shots(lights, np.ones(20), 0.5)])
+    found = estimate_light_intensities([shots(lights, np.ones(20), 0.5)])
     assert found.oblique == pytest.approx(0, abs=0.01)
     np.testing.assert_allclose(list(found.strength.values()), 1, atol=0.01)
 
@@ -138,7 +138,7 @@ def test_a_shadow_on_a_part_of_the_face_is_hardly_taken_for_weak_lamps() -> None
     images = pictures(normal, np.array([0.5]), lights)
     images[np.ix_(lights[:, 1] > 0.3, normal[:, 0, 1] < 0)] *= 0.8
     names = tuple(f"l{j}" for j in range(40))
-    found = estimate_strobes([Shots(images.reshape(40, -1).T, lights, names)])
+    found = estimate_light_intensities([LightImages(images.reshape(40, -1).T, lights, names)])
     assert np.std(np.log(list(found.strength.values()))) < 0.01  # .019 if nothing is shrunk
     errors = [
         angles_deg(photometric_stereo(images, lights, gains).normal, normal).mean()
@@ -149,10 +149,10 @@ def test_a_shadow_on_a_part_of_the_face_is_hardly_taken_for_weak_lamps() -> None
 
 def test_a_trend_with_the_angle_to_the_viewer_is_no_strobes() -> None:
     lights = ring(40, seed=4)
-    found = estimate_strobes([shots(lights, 1 + 0.3 * (1 - lights[:, 2]), 0.4)])
+    found = estimate_light_intensities([shots(lights, 1 + 0.3 * (1 - lights[:, 2]), 0.4)])
     assert found.oblique == pytest.approx(0.3, abs=0.05)
     np.testing.assert_allclose(list(found.strength.values()), 1, atol=0.01)
 
 
 def test_few_lights_leave_all_gains_at_one() -> None:
-    assert estimate_strobes([shots(ring(8), np.linspace(1, 2, 8), 0.4)]) == Strobes()
+    assert estimate_light_intensities([shots(ring(8), np.linspace(1, 2, 8), 0.4)]) == LightIntensities()

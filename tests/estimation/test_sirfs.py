@@ -9,15 +9,15 @@ from torch import Tensor
 
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.estimation import sirfs
-from sfsnet_dr.estimation.sirfs import IntrinsicOptions, normals_of, solve_intrinsic
+from sfsnet_dr.estimation.sirfs import IntrinsicOptions, normals_of_height, solve_intrinsic
 from sfsnet_dr.estimation.sirfs_priors import (
     albedo_edges,
     albedo_entropy,
-    bending,
+    bending_energy,
     draw_pairs,
     mean_curvature,
     natural_lights,
-    outline,
+    outline_energy,
 )
 from sfsnet_dr.inference.baselines import ShadingSearch
 from sfsnet_dr.render.shading_torch import shading
@@ -118,11 +118,11 @@ def test_normals_and_curvature_of_a_sphere() -> None:
     true = torch.stack([x + 0 * y, y + 0 * x, depth[0, 0]]) / 40
     inner = (slice(None), slice(1, -1), slice(1, -1))
     # Differences over two pixels of a sphere of 40 pixels: 1e-3 was measured.
-    assert torch.allclose(normals_of(depth)[0][inner], true[inner], atol=3e-3)
+    assert torch.allclose(normals_of_height(depth)[0][inner], true[inner], atol=3e-3)
     assert torch.allclose(mean_curvature(depth), torch.tensor(-1 / 40), rtol=0.02)
     ones = torch.ones(1, 1, 33, 33)
     ridge = (10 - x.abs() + 0 * y)[None, None]
-    assert float(bending(depth, ones)) < 0.02 < 0.5 < float(bending(ridge, ones))
+    assert float(bending_energy(depth, ones)) < 0.02 < 0.5 < float(bending_energy(ridge, ones))
 
 
 def test_priors_of_albedo_by_hand() -> None:
@@ -145,12 +145,12 @@ def test_the_outline_points_outward_and_passes_by_holes() -> None:
     mask = torch.zeros(1, 1, 32, 32)
     mask[..., 6:26, 8:24] = 1
     mask[..., 14:18, 14:18] = 0
-    outward, where = outline(mask)
+    outward, where = outline_energy(mask)
     assert float(where.sum()) == pytest.approx(1)
     assert float(where[..., 12:20, 12:20].sum()) == 0
     assert float(outward[0, 0, 16, 8]) == pytest.approx(-1)
     assert float(outward[0, 1, 6, 16]) == pytest.approx(1)
-    full = outline(torch.ones(1, 1, 32, 32))[1]
+    full = outline_energy(torch.ones(1, 1, 32, 32))[1]
     assert float(full.sum()) == 0  # the picture's border is none
 
 

@@ -14,7 +14,7 @@ from sfsnet_dr.core.image_io import read_image, write_exr
 from sfsnet_dr.data import generate
 from sfsnet_dr.data.bundle import read_bundle, write_bundle
 from sfsnet_dr.data.generate import synthesize
-from sfsnet_dr.experiments.contact_sheet import lamp, show, tone_name
+from sfsnet_dr.experiments.contact_sheet import lamp_from_text, tone_name, write_contact_sheet
 from sfsnet_dr.scene.spec import CameraSpec, HeadSpec, SamplingSpec, SceneSpec
 
 TINY = SceneSpec(
@@ -45,7 +45,9 @@ def faces(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_sheet_shows_the_faces(faces: Path, tmp_path: Path) -> None:
-    records = {record.what: record.value for record in show(faces, tmp_path, 3, command="show")}
+    records = {
+        record.what: record.value for record in write_contact_sheet(faces, tmp_path, 3, command="show")
+    }
     first = read_bundle(faces / BUNDLE).meta.extra["ita"]
     assert records["synth.faces"] == 5
     assert records["skin.ita.min"] == min(first, -60)
@@ -67,7 +69,7 @@ def test_without_tones_there_is_no_histogram(faces: Path, tmp_path: Path) -> Non
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(generate, "render_bundle", lambda spec, seed: plain)
         synthesize(folder, TINY, 1)
-    assert [record.what for record in show(folder, tmp_path / "out")] == ["synth.faces"]
+    assert [record.what for record in write_contact_sheet(folder, tmp_path / "out")] == ["synth.faces"]
     assert "Skin tones" not in (tmp_path / "out" / "index.html").read_text()
 
 
@@ -99,7 +101,7 @@ def test_a_lamp_lights_its_side(faces: Path, tmp_path: Path, side: str, sign: in
 
 
 def test_a_lamp_has_a_unit_direction() -> None:
-    [(toward, _)] = lamp("0,3,4").directional
+    [(toward, _)] = lamp_from_text("0,3,4").directional
     np.testing.assert_allclose(toward, [0, 0.6, 0.8])
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from sfsnet_dr.core import runtime
 from sfsnet_dr.experiments import doctor
-from sfsnet_dr.experiments.doctor import STEPS, Check, diagnose, run_probe
+from sfsnet_dr.experiments.doctor import STEPS, Check, check_installation, run_probe
 
 FIRST_STEP = (
     'import os, sys, time; print(\'{"name": "variant", "ok": true, "detail": "fine"}\', flush=True); '
@@ -20,7 +20,7 @@ def probe(code: str, time_limit: float = 30) -> list[Check]:
 
 
 def test_this_installation_is_well() -> None:
-    report = diagnose()
+    report = check_installation()
     assert report.ok, report.to_text()
     assert [check.name for check in report.checks] == ["packages", "llvm", *STEPS]
     told = json.loads(report.to_json())
@@ -77,7 +77,7 @@ def test_an_old_llvm_is_reported_and_nothing_is_run(tmp_path: Path, monkeypatch:
     old.touch()
     monkeypatch.setattr(runtime, "_chosen", None)
     monkeypatch.setenv(runtime.LLVM_VARIABLE, str(old))
-    report = diagnose()
+    report = check_installation()
     assert not report.ok
     assert json.loads(report.to_json())["ok"] is False
     details = {check.name: check.detail for check in report.checks}

@@ -15,7 +15,7 @@ from sfsnet_dr.cli.main import main
 from sfsnet_dr.core.errors import InputError, RunError
 from sfsnet_dr.core.image_io import write_png
 from sfsnet_dr.estimation import light_prior as module
-from sfsnet_dr.estimation.light_prior import Fit, fit_photographs, learn_mixture, normalised
+from sfsnet_dr.estimation.light_prior import PhotographFit, fit_photographs, learn_mixture, normalise_exposure
 from sfsnet_dr.estimation.morphable_fit import Placement, face_maps, fit_face
 from sfsnet_dr.estimation.sh_lighting import MEAN_SKIN
 from sfsnet_dr.experiments.light_prior import FitLightsOptions, fit_lights
@@ -121,17 +121,17 @@ def test_fits_of_a_folder_go_on_where_they_were_stopped(
         fit_photographs(photos, model, tmp_path / "cut")
 
 
-def many_fits(count: int = 300) -> list[Fit]:
+def many_fits(count: int = 300) -> list[PhotographFit]:
     lights = sample_lights(np.random.default_rng(1), count)
     flat = [light.coefficients(2).to_shading().flat() for light in lights]
-    return [Fit(f"{k}.png", light, 0.1, 1.0, False, 0.1) for k, light in enumerate(flat)]
+    return [PhotographFit(f"{k}.png", light, 0.1, 1.0, False, 0.1) for k, light in enumerate(flat)]
 
 
 def test_a_mixture_leaves_out_what_tells_nothing() -> None:
     fits = many_fits()
     spoilt = [
-        Fit("grey", fits[0].light, 0.1, 1.0, True, 0.1),
-        Fit("odd", fits[0].light, 0.9, 1.0, False, 0.1),
+        PhotographFit("grey", fits[0].light, 0.1, 1.0, True, 0.1),
+        PhotographFit("odd", fits[0].light, 0.9, 1.0, False, 0.1),
     ]
     learnt = learn_mixture([*fits, *spoilt], (1, 2), 0, {"skipped": 3})
     assert learnt.source["photographs"] == 300
@@ -144,8 +144,8 @@ def test_a_mixture_leaves_out_what_tells_nothing() -> None:
 
 def test_lights_are_brought_to_one_level_and_a_white_median() -> None:
     lights = np.array([fit.light for fit in many_fits(50)])
-    tinted = normalised(lights * np.repeat([2.0, 1.0, 0.4], 9))
-    np.testing.assert_allclose(tinted, normalised(lights), atol=1e-9)
+    tinted = normalise_exposure(lights * np.repeat([2.0, 1.0, 0.4], 9))
+    np.testing.assert_allclose(tinted, normalise_exposure(lights), atol=1e-9)
 
 
 def test_the_whole_study_writes_numbers_and_no_more(

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import torch
 
-from sfsnet_dr.data.normal_labels import SurfaceLabels, light_labels, write_index, write_surface
+from sfsnet_dr.data.normal_labels import NormalLabels, light_labels, write_index, write_normal_labels
 from sfsnet_dr.render.shading_torch import f_render
 
 SUBJECTS = tuple(f"a{number}" for number in range(1, 7))
 SIZE = 16
 
 
-def face(subject: str, size: int = SIZE) -> SurfaceLabels:
+def face(subject: str, size: int = SIZE) -> NormalLabels:
     """A grey bent surface whose pictures are what its labels render, order-2 light and all."""
     generator = torch.Generator().manual_seed(SUBJECTS.index(subject))
     normal = 0.3 * torch.randn(3, size, size, generator=generator)
@@ -27,7 +27,7 @@ def face(subject: str, size: int = SIZE) -> SurfaceLabels:
     image = f_render(normal.expand(4, -1, -1, -1), albedo.expand(4, 3, -1, -1), light)[:, :1]
     mask = torch.ones(1, size, size)
     mask[:, :2] = 0
-    return SurfaceLabels(
+    return NormalLabels(
         name=subject, subject=subject, lights=tuple("abcd"), files=tuple("abcd"), image=image,
         normal=normal, albedo=albedo, mask=mask, confidence=0.5 + 0.5 * mask, residual=0 * mask,
         direction=direction, gain=gain,
@@ -38,6 +38,8 @@ def write_faces(
     folder: Path, subjects: tuple[str, ...] = SUBJECTS, size: int = SIZE, lamps_by: str = ""
 ) -> Path:
     folder.mkdir(parents=True)
-    rows = {name: {"subject": name, "sha256": write_surface(folder, face(name, size))} for name in subjects}
+    rows = {
+        name: {"subject": name, "sha256": write_normal_labels(folder, face(name, size))} for name in subjects
+    }
     write_index(folder, "balls", {"oblique": 0.0, "strength": {}, "lamps_by": lamps_by}, rows, {})
     return folder

@@ -51,10 +51,10 @@ def write_yale_b(folder: Path, subjects: int = 2, suffix: str = ".pgm") -> Path:
 
 def crop_normals() -> Array:
     """The sphere's normals in the canonical frame, (128, 128, 3)."""
-    from sfsnet_dr.data.alignment import resampled
+    from sfsnet_dr.data.alignment import resample_to_canonical
 
     width, height = CROP_SIZE
-    normal = resampled(ball(height, width), CROP_EYES).astype(np.float64)
+    normal = resample_to_canonical(ball(height, width), CROP_EYES).astype(np.float64)
     return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9))
 
 

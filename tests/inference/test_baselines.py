@@ -19,10 +19,10 @@ from sfsnet_dr.data.databases.registry import open_database
 from sfsnet_dr.data.databases.yale_b import CROP_EYES
 from sfsnet_dr.estimation.morphable_fit import Placement, face_maps, fit_landmarks
 from sfsnet_dr.experiments.evaluation import methods as choose
-from sfsnet_dr.experiments.evaluation.methods import Wanted, capture_landmarks, methods_for
+from sfsnet_dr.experiments.evaluation.methods import RequestedMethod, capture_landmarks, methods_for
 from sfsnet_dr.inference import baselines as module
 from sfsnet_dr.inference.baselines import ModelFit
-from sfsnet_dr.inference.methods import for_capture
+from sfsnet_dr.inference.methods import method_for_image_set
 from sfsnet_dr.metrics.normals import angular_error_deg
 from sfsnet_dr.scene.faces.linear_model import FaceModes
 from sfsnet_dr.sh.basis import sh_basis
@@ -42,7 +42,7 @@ def test_a_face_of_the_model_is_found_with_its_light() -> None:
         shading = sh_basis(truth.normal, 2) @ LIGHT
         image = torch.from_numpy(np.repeat(0.2 * shading[None, None], 3, axis=1)).float()
         mask = torch.from_numpy(truth.mask[None, None]).float()
-        answer = for_capture(method, name)(image, mask, ["somebody"])
+        answer = method_for_image_set(method, name)(image, mask, ["somebody"])
         found = answer.normal[0].permute(1, 2, 0).double().numpy()
         # Landmarks are exact but priors pull: 1.7 and 2.1 degrees were measured; the other face is 18 off.
         assert angular_error_deg(found, truth.normal, truth.mask).mean < 3
@@ -115,22 +115,22 @@ def test_baselines_that_cannot_run_are_left_out_or_refused(
 
     names = ("yaleB01_P00", "yaleB02_P00")
     faces = [shot for name in names for shot in collected(face(name, 0, [[0, 0, 1]])).shots]
-    methods, left_out = methods_for(faces, Wanted(), listing)
+    methods, left_out = methods_for(faces, RequestedMethod(), listing)
     assert [method.name for method in methods][:2] == ["flat", "mean-face"]
     assert "no landmarks found" in left_out["3dmm"]
     with pytest.raises(InputError, match=r"3dmm: .*no landmarks found"):
-        methods_for(faces, Wanted(("flat", "3dmm")), listing)
+        methods_for(faces, RequestedMethod(("flat", "3dmm")), listing)
     with pytest.raises(InputError, match="labels do not say"):
-        methods_for(faces, Wanted(("3dmm",)))
+        methods_for(faces, RequestedMethod(("3dmm",)))
     with pytest.raises(InputError, match="methods: 'sirf' found"):
-        methods_for(faces, Wanted(("sirf",)))
-    assert "two are needed" in methods_for(faces[:1], Wanted(), listing)[1]["mean-face"]
+        methods_for(faces, RequestedMethod(("sirf",)))
+    assert "two are needed" in methods_for(faces[:1], RequestedMethod(), listing)[1]["mean-face"]
     file = tmp_path / "marks.npz"
     np.savez(file, files=np.array(["yaleB01_P00A-015E+00.pgm"]), points=points(0)[None])
     with pytest.raises(InputError, match="no landmarks of yaleB02_P00"):
-        methods_for(faces, Wanted(("3dmm",), landmarks=file), listing)
+        methods_for(faces, RequestedMethod(("3dmm",), landmarks=file), listing)
     with pytest.raises(InputError, match="--model-path"):
-        methods_for(faces[:1], Wanted(("3dmm",), landmarks=file), listing)
+        methods_for(faces[:1], RequestedMethod(("3dmm",), landmarks=file), listing)
     monkeypatch.setattr(choose, "load_face_modes", lambda path: fake_model())
-    wanted = Wanted(("3dmm",), landmarks=file, model_path=tmp_path)
+    wanted = RequestedMethod(("3dmm",), landmarks=file, model_path=tmp_path)
     assert [method.name for method in methods_for(faces[:1], wanted, listing)[0]] == ["3dmm"]

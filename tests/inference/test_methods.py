@@ -7,13 +7,13 @@ import torch
 from data.transforms.test_crop import Places
 from torch import Tensor
 
-from sfsnet_dr.data.transforms.crop import View
+from sfsnet_dr.data.transforms.crop import Crop
 from sfsnet_dr.inference.decompose import run_network
-from sfsnet_dr.inference.methods import ask, beyond, joined
+from sfsnet_dr.inference.methods import blend_crops, infer, needs_wide_crop
 from sfsnet_dr.inference.photograph import Photograph
 from sfsnet_dr.models.base import NetworkOutput
 
-VIEW = View(48, 96)
+VIEW = Crop(48, 96)
 
 
 class Dims(Places):
@@ -32,13 +32,13 @@ def ramps(count: int = 1) -> Tensor:
 
 
 def a_mask(inside: bool) -> Tensor:
-    return (VIEW.covered(128) == 1).float()[None, None] if inside else torch.ones(1, 1, 128, 128)
+    return (VIEW.coverage(128) == 1).float()[None, None] if inside else torch.ones(1, 1, 128, 128)
 
 
 def test_the_second_answer_continues_the_first() -> None:
     """The wide view's albedo is half as bright here, and is brought to the other's scale."""
     network = Dims()
-    found, gain = ask(network, ramps(), a_mask(inside=False), VIEW, "linear", once=True)
+    found, gain = infer(network, ramps(), a_mask(inside=False), VIEW, "linear", once=True)
     assert network.asked == 2
     seen = found.albedo[0, 0, :, 64] / gain[0, 0, 0, 0]
     inside = slice(2, 126)  # half a pixel of the wide view less at each end: 4/3 pixels
@@ -48,18 +48,18 @@ def test_the_second_answer_continues_the_first() -> None:
 
 def test_faces_within_the_view_are_asked_for_once_and_left_alone() -> None:
     masks = torch.cat([a_mask(inside=True), a_mask(inside=False)])
-    assert beyond(masks, VIEW).tolist() == [False, True]
+    assert needs_wide_crop(masks, VIEW).tolist() == [False, True]
     network = Dims()
-    alone, _ = ask(network, ramps(), masks[:1], VIEW, "linear", once=True)
+    alone, _ = infer(network, ramps(), masks[:1], VIEW, "linear", once=True)
     assert network.asked == 1
-    both, _ = ask(Dims(), ramps(2), masks, VIEW, "linear", once=True)
+    both, _ = infer(Dims(), ramps(2), masks, VIEW, "linear", once=True)
     assert torch.equal(both.albedo[0], alone.albedo[0])
     assert not torch.equal(both.albedo[1], both.albedo[0])
 
 
 def test_a_network_that_was_shown_all_is_asked_once() -> None:
     network = Dims()
-    ask(network, ramps(), a_mask(inside=False), View(64), "linear", once=True)
+    infer(network, ramps(), a_mask(inside=False), Crop(64), "linear", once=True)
     assert network.asked == 1
 
 
@@ -69,7 +69,7 @@ def test_answers_fade_on_a_rim_of_six_pixels() -> None:
     near[:, 1], wide[:, 2] = 1, 1
     grey = torch.full((1, 3, 128, 128), 0.5)
     light = torch.arange(27.0)[None]
-    found = joined(
+    found = blend_crops(
         NetworkOutput(near, grey, light), NetworkOutput(wide, grey, 2 * light), a_mask(inside=False), VIEW
     )
     assert torch.equal(found.light, light)
@@ -87,9 +87,9 @@ def test_an_albedo_of_nothing_scales_nothing_to_infinity() -> None:
     flat[:, 2] = 1
     grey = NetworkOutput(flat, torch.full_like(flat, 0.5), torch.zeros(1, 27))
     black = NetworkOutput(flat, torch.zeros_like(flat), torch.zeros(1, 27))
-    assert float(joined(grey, black, a_mask(inside=False), VIEW).albedo.max()) == 0.5
+    assert float(blend_crops(grey, black, a_mask(inside=False), VIEW).albedo.max()) == 0.5
     faint = NetworkOutput(flat, torch.full_like(flat, 0.001), torch.zeros(1, 27))
-    corner = joined(grey, faint, a_mask(inside=False), VIEW).albedo[0, 0, 0, 0]
+    corner = blend_crops(grey, faint, a_mask(inside=False), VIEW).albedo[0, 0, 0, 0]
     assert 0.0039 < float(corner) < 0.0041  # four times at most
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sfsnet_dr.inference.relight import VIEW_LIGHTS, directional, relight, relit_views
+from sfsnet_dr.inference.relight import VIEW_LIGHTS, directional_shading, relight, relit_views
 
 
 def hemisphere(size: int = 64) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
@@ -26,7 +26,7 @@ def order_2_cosine(c: NDArray[np.float64]) -> NDArray[np.float64]:
 def test_a_view_is_the_closed_form_of_order_2(name: str) -> None:
     normal, inside = hemisphere()
     way = np.array(VIEW_LIGHTS[name]) / np.linalg.norm(VIEW_LIGHTS[name])
-    image = relight(normal, np.full_like(normal, 0.5), directional(VIEW_LIGHTS[name]))
+    image = relight(normal, np.full_like(normal, 0.5), directional_shading(VIEW_LIGHTS[name]))
     unit = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
     expected = 0.5 * np.maximum(order_2_cosine(unit @ way), 0)
     # Both are float64 closed forms; rounding only.
@@ -34,7 +34,7 @@ def test_a_view_is_the_closed_form_of_order_2(name: str) -> None:
 
 
 def test_a_facing_surface_has_seventeen_sixteenths() -> None:
-    facing = relight(np.full((1, 1, 3), [0.0, 0, 1]), np.ones((1, 1, 3)), directional((0, 0, 3)))
+    facing = relight(np.full((1, 1, 3), [0.0, 0, 1]), np.ones((1, 1, 3)), directional_shading((0, 0, 3)))
     np.testing.assert_allclose(facing, 17 / 16, rtol=1e-12)
 
 

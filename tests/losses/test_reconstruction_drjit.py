@@ -11,7 +11,7 @@ from torch import Tensor
 
 from sfsnet_dr.losses.reconstruction import Backend, reconstruction_l1
 from sfsnet_dr.render import drjit_interop
-from sfsnet_dr.render.drjit_interop import PACKET, view
+from sfsnet_dr.render.drjit_interop import PACKET, make_view
 
 Inputs = list[Tensor]
 
@@ -102,7 +102,7 @@ def test_gradients_keep_the_layout() -> None:
 def test_memory_is_shared_where_it_fits(name: str) -> None:
     for tensor in MEMORY[name](_inputs()):
         if tensor.ndim == 4 and tensor.data_ptr() % 64 == 0:
-            assert view(tensor, PACKET).values.data_ptr() == tensor.data_ptr()
+            assert make_view(tensor, PACKET).values.data_ptr() == tensor.data_ptr()
 
 
 def test_hard_numbers() -> None:

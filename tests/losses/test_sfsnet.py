@@ -10,7 +10,14 @@ from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.data.batch import FaceBatch
 from sfsnet_dr.data.mixed_batch import RealBatch
 from sfsnet_dr.losses.reconstruction import Backend
-from sfsnet_dr.losses.sfsnet import LossTerms, LossWeights, Trust, light_trust, masked_l1, sfsnet_loss
+from sfsnet_dr.losses.sfsnet import (
+    LabelConfidence,
+    LossTerms,
+    LossWeights,
+    light_confidence,
+    masked_l1,
+    sfsnet_loss,
+)
 from sfsnet_dr.models.base import NetworkOutput
 from sfsnet_dr.render.shading_numpy import f_render
 
@@ -113,7 +120,7 @@ def test_bad_shapes_are_named() -> None:
         sfsnet_loss(prediction._replace(normal=prediction.normal[:1]), target)
     with pytest.raises(InputError, match="mask: shape"):
         sfsnet_loss(prediction, target._replace(mask=target.mask[:, 0]))
-    trust = Trust(target.mask, torch.ones(2))
+    trust = LabelConfidence(target.mask, torch.ones(2))
     with pytest.raises(InputError, match=r"trust\.pixels: shape"):
         sfsnet_loss(prediction, target, trust=trust._replace(pixels=target.mask[:1]))
     with pytest.raises(InputError, match=r"trust\.light: shape"):
@@ -126,4 +133,6 @@ def test_a_light_counts_less_from_a_mean_square_of_one_on_and_only_where_scale_i
     free = torch.tensor([True, True, True, True, True, False])
     faces = FaceBatch(*(torch.zeros(6, 1, 1, 1) for _ in range(5)))
     real = RealBatch(faces, torch.ones(6, 1, 1, 1), free, torch.full((6,), 0.5))
-    torch.testing.assert_close(light_trust(light, real), torch.tensor([0.5, 0.5, 0.5, 0.3125, 0.125, 0.5]))
+    torch.testing.assert_close(
+        light_confidence(light, real), torch.tensor([0.5, 0.5, 0.5, 0.3125, 0.125, 0.5])
+    )

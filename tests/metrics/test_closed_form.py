@@ -7,14 +7,14 @@ import pytest
 
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.metrics.closed_form import by_harmonics, by_legendre, closed_form
-from sfsnet_dr.scene.lights.light import Light, heading
+from sfsnet_dr.scene.lights.light import Light, direction_from_angles
 from sfsnet_dr.scene.spec import CameraSpec, SceneSpec
 from sfsnet_dr.sh.projection import project_directional
 
 SPHERE = SceneSpec(name="ball", shape="sphere", albedo=(0.2, 0.5, 0.8), camera=CameraSpec(size=24))
 PLANE = SceneSpec(name="wall", shape="plane", albedo=(0.2, 0.5, 0.8), camera=CameraSpec(size=24))
 ALBEDO = np.array([0.2, 0.5, 0.8])
-LAMP = Light("lamp", None, ((heading(40, 30), np.pi * np.array([1.0, 2.0, 3.0])),))
+LAMP = Light("lamp", None, ((direction_from_angles(40, 30), np.pi * np.array([1.0, 2.0, 3.0])),))
 
 
 @pytest.mark.parametrize("order", [None, 0, 2, 4])
@@ -27,7 +27,7 @@ def test_a_furnace_shows_the_albedo(order: int | None) -> None:
 
 def test_lamberts_law_on_a_plane() -> None:
     found = closed_form(PLANE, LAMP, None, deferred=False)
-    cosine = heading(40, 30)[2]
+    cosine = direction_from_angles(40, 30)[2]
     np.testing.assert_allclose(found.image, np.broadcast_to(ALBEDO * [1, 2, 3] * cosine, (24, 24, 3)))
 
 
@@ -45,7 +45,7 @@ def test_legendre_and_harmonics_are_two_ways_to_the_same() -> None:
 
 
 def test_the_left_of_the_picture_is_lit_from_the_left() -> None:
-    left = Light("left", None, ((heading(-60, 0), np.ones(3)),))
+    left = Light("left", None, ((direction_from_angles(-60, 0), np.ones(3)),))
     image = closed_form(SPHERE, left, None, deferred=False).image
     assert image[:, :12].sum() > 3 * image[:, 12:].sum()
 

@@ -8,8 +8,14 @@ import pytest
 from scipy.special import polygamma
 
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.metrics.clusters import cluster_noise, inverse_trigamma, moderated, noise_clusters
-from sfsnet_dr.metrics.equivalence import Agreement, Estimate, agree, exact, from_seeds
+from sfsnet_dr.metrics.clusters import cluster_noise, inverse_trigamma, noise_clusters, shrink_variance
+from sfsnet_dr.metrics.equivalence import (
+    Agreement,
+    Estimate,
+    check_agreement,
+    estimate_from_seeds,
+    exact_estimate,
+)
 
 Array = npt.NDArray[np.float64]
 SHAPE = (32, 32, 3)
@@ -21,7 +27,9 @@ def compared(seed: int, change: npt.ArrayLike = 0.0, mismatch: float = 0.5) -> A
     deviation = 0.1 * np.exp(rng.normal(size=SHAPE))
     other = 0.2 * deviation * np.exp(mismatch * rng.normal(size=SHAPE))
     images = [1.0 + np.asarray(change) + deviation * rng.normal(size=SHAPE) for _ in range(8)]
-    return agree(from_seeds(images), Estimate(1.0 + other * rng.normal(size=SHAPE), other**2))
+    return check_agreement(
+        estimate_from_seeds(images), Estimate(1.0 + other * rng.normal(size=SHAPE), other**2)
+    )
 
 
 @pytest.mark.parametrize("mismatch", [0.0, 0.5])
@@ -51,15 +59,17 @@ def test_more_pairs_make_the_same_difference_less_telling() -> None:
 
 def test_without_noise_an_allowance_decides() -> None:
     image = np.full(SHAPE, 0.5)
-    assert agree(exact(image), exact(image)).p == 1.0
-    assert agree(exact(image + 1e-4), exact(image), allowance=1.1e-4).p == 1.0
-    assert agree(exact(image + 1e-4), exact(image), allowance=0.9e-4).p < 1e-100
+    assert check_agreement(exact_estimate(image), exact_estimate(image)).p == 1.0
+    assert check_agreement(exact_estimate(image + 1e-4), exact_estimate(image), allowance=1.1e-4).p == 1.0
+    assert check_agreement(exact_estimate(image + 1e-4), exact_estimate(image), allowance=0.9e-4).p < 1e-100
 
 
 def test_a_few_images_do_not_pass_for_certain() -> None:
     """Pixels that 8 images never met, at an edge that the reference knows: their spread is 0 by luck."""
     reference = np.full(SHAPE, 1e-3)
-    agreement = agree(Estimate(np.zeros(SHAPE), np.zeros(SHAPE), 7.0), Estimate(reference, reference**2))
+    agreement = check_agreement(
+        Estimate(np.zeros(SHAPE), np.zeros(SHAPE), 7.0), Estimate(reference, reference**2)
+    )
     pixel = next(scale for scale in agreement.scales if scale.name == "pixel")
     assert pixel.p == 1.0
 
@@ -78,11 +88,11 @@ def test_moderation_recovers_variances_that_follow_the_expected_ones() -> None:
     expected = np.exp(rng.normal(size=20000))
     truth = 3.0 * expected
     seen = truth * rng.chisquare(7, size=truth.shape) / 7
-    blended, freedom = moderated(seen, 7, expected)
+    blended, freedom = shrink_variance(seen, 7, expected)
     assert freedom > 200
     np.testing.assert_allclose(blended, truth, rtol=0.25)
     # Nothing in common with the expected ones: little is borrowed from them.
-    assert moderated(truth * np.exp(rng.normal(size=truth.shape)), 7, expected)[1] < 12
+    assert shrink_variance(truth * np.exp(rng.normal(size=truth.shape)), 7, expected)[1] < 12
 
 
 def test_inverse_trigamma() -> None:
@@ -92,8 +102,8 @@ def test_inverse_trigamma() -> None:
 
 def test_bad_input_is_named() -> None:
     with pytest.raises(InputError, match="images: 1 found, at least 2"):
-        from_seeds([np.zeros(SHAPE)])
+        estimate_from_seeds([np.zeros(SHAPE)])
     with pytest.raises(InputError, match="mean: NaN or inf"):
-        exact(np.full(SHAPE, np.nan))
+        exact_estimate(np.full(SHAPE, np.nan))
     with pytest.raises(InputError, match="reference: shape"):
-        agree(exact(np.zeros(SHAPE)), exact(np.zeros((8, 8, 3))))
+        check_agreement(exact_estimate(np.zeros(SHAPE)), exact_estimate(np.zeros((8, 8, 3))))

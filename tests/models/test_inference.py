@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from sfsnet_dr.data.transforms.flip import flip_light, flip_map, flip_normal
+from sfsnet_dr.data.transforms.mirror import mirror_light, mirror_map, mirror_normal
 from sfsnet_dr.models.base import NetworkOutput
 from sfsnet_dr.models.inference import predict, predict_with_flip_tta
 from sfsnet_dr.models.sfsnet import SfSNet
@@ -31,14 +31,16 @@ def test_batches_do_not_matter_and_the_mode_comes_back(network: SfSNet) -> None:
 
 
 def test_asked_both_ways_a_mirrored_face_has_the_mirrored_answer(network: SfSNet) -> None:
-    straight, mirrored = (predict_with_flip_tta(network, images) for images in (IMAGES, flip_map(IMAGES)))
-    back = NetworkOutput(flip_normal(mirrored.normal), flip_map(mirrored.albedo), flip_light(mirrored.light))
+    straight, mirrored = (predict_with_flip_tta(network, images) for images in (IMAGES, mirror_map(IMAGES)))
+    back = NetworkOutput(
+        mirror_normal(mirrored.normal), mirror_map(mirrored.albedo), mirror_light(mirrored.light)
+    )
     assert furthest(straight, back) < 1e-5
-    once = [predict(network, images) for images in (IMAGES, flip_map(IMAGES))]
+    once = [predict(network, images) for images in (IMAGES, mirror_map(IMAGES))]
     assert (
-        float((once[0].normal - flip_normal(once[1].normal)).abs().max()) > 0.01
+        float((once[0].normal - mirror_normal(once[1].normal)).abs().max()) > 0.01
     )  # or it would show nothing
     # What both answers share is kept.
-    mean = (once[0].albedo + flip_map(once[1].albedo)) / 2
+    mean = (once[0].albedo + mirror_map(once[1].albedo)) / 2
     assert torch.equal(straight.albedo, mean)
     torch.testing.assert_close(straight.normal.square().sum(1), torch.ones(3, 16, 16))

@@ -12,7 +12,14 @@ from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.models.base import Network
 from sfsnet_dr.models.sfsnet import SfSNet
 from sfsnet_dr.models.skipnet import SkipNet, SkipNetPlus
-from sfsnet_dr.models.weights import HEADER, build, load_weights, read_metadata, save_weights, settings
+from sfsnet_dr.models.weights import (
+    HEADER,
+    build_network,
+    load_weights,
+    network_settings,
+    read_metadata,
+    save_weights,
+)
 
 
 @pytest.fixture
@@ -111,12 +118,12 @@ def test_every_architecture_comes_back_by_its_name(tmp_path: Path, network: Netw
 
 
 def test_settings_are_those_of_the_paper() -> None:
-    assert settings("skipnet") == {"width": 64, "size": 128}
-    assert settings("skipnet-plus") == {"width": 64}
+    assert network_settings("skipnet") == {"width": 64, "size": 128}
+    assert network_settings("skipnet-plus") == {"width": 64}
     with pytest.raises(InputError, match="'skipnet-plsu' found; did you mean 'skipnet-plus'"):
-        settings("skipnet-plsu")
+        network_settings("skipnet-plsu")
 
 
 def test_sizes_below_one_are_refused() -> None:
     with pytest.raises(InputError, match="blocks: 0"):
-        build("sfsnet", {"blocks": 0})
+        build_network("sfsnet", {"blocks": 0})

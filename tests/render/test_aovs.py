@@ -10,10 +10,10 @@ from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.metrics.equivalence import z_test
 from sfsnet_dr.render.aovs import TransportMaps, render_aovs
 from sfsnet_dr.scene.faces.face import sample_face
-from sfsnet_dr.scene.faces.pose import project
+from sfsnet_dr.scene.faces.pose import project_points
 from sfsnet_dr.scene.jit import dr, mi
 from sfsnet_dr.scene.lights.equirect import MAP_SIZE
-from sfsnet_dr.scene.mesh import plane, sphere
+from sfsnet_dr.scene.mesh import plane_mesh, sphere_mesh
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
 from sfsnet_dr.scene.spec import CameraSpec, HeadSpec, SceneSpec
 from sfsnet_dr.sh.basis import sh_basis
@@ -37,7 +37,7 @@ def averaged(scene: SurfaceScene, samples: int, runs: int) -> tuple[np.ndarray, 
 
 @pytest.fixture(scope="module")
 def ball() -> TransportMaps:
-    return render_aovs(SurfaceScene(sphere(radius=0.8), SMALL), 64, 0)
+    return render_aovs(SurfaceScene(sphere_mesh(radius=0.8), SMALL), 64, 0)
 
 
 def test_coverage_of_a_sphere_is_the_area_of_its_outline(ball: TransportMaps) -> None:
@@ -65,7 +65,7 @@ def test_normals_of_a_sphere_are_those_of_the_points_seen(ball: TransportMaps) -
 
 def test_a_white_furnace_shades_a_plane_with_its_albedo_exactly() -> None:
     # Y_00 is constant and nothing blocks a ray, so that there is no noise: float32 sums of 64 values.
-    furnace = render_aovs(SurfaceScene(plane(), SMALL), 64, 0).transport[0] * np.sqrt(4 * np.pi)
+    furnace = render_aovs(SurfaceScene(plane_mesh(), SMALL), 64, 0).transport[0] * np.sqrt(4 * np.pi)
     np.testing.assert_allclose(furnace, 0.5, rtol=2e-6)
 
 
@@ -78,7 +78,7 @@ def test_a_white_furnace_shades_a_sphere_with_its_albedo_but_for_its_facets(ball
 
 
 def test_transport_of_a_sphere_is_the_clamped_cosine_expansion() -> None:
-    scene = SurfaceScene(sphere(radius=0.8), SMALL)
+    scene = SurfaceScene(sphere_mesh(radius=0.8), SMALL)
     mean, variance = averaged(scene, 64, 12)
     maps = render_aovs(scene, 256, 99)
     inside = (maps.coverage == 1) & (maps.normal[..., 2] > 0.5)
@@ -91,7 +91,7 @@ def test_transport_of_a_sphere_is_the_clamped_cosine_expansion() -> None:
 
 
 def test_transport_of_a_plane_is_one_number_for_each_function() -> None:
-    mean, variance = averaged(SurfaceScene(plane(), SMALL), 64, 12)
+    mean, variance = averaged(SurfaceScene(plane_mesh(), SMALL), 64, 12)
     truth = analytic(np.array([0.0, 0.0, 1.0]), 0.5)
     overall = mean[..., 0].mean(axis=(1, 2))
     error = np.sqrt(variance[..., 0].mean(axis=(1, 2)) / SMALL.size**2)
@@ -151,17 +151,17 @@ def mitsuba_direct(scene: SurfaceScene, samples: int, runs: int) -> tuple[np.nda
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_does_not(ball: TransportMaps) -> None:
-    scene = SurfaceScene(sphere(radius=0.8), SMALL)
+    scene = SurfaceScene(sphere_mesh(radius=0.8), SMALL)
     np.testing.assert_array_equal(render_aovs(scene, 64, 0).transport, ball.transport)
     assert np.abs(render_aovs(scene, 64, 1).transport - ball.transport).max() > 1e-3
 
 
 def test_a_second_face_compiles_nothing() -> None:
-    scene = SurfaceScene(sphere(radius=0.8), SMALL)
+    scene = SurfaceScene(sphere_mesh(radius=0.8), SMALL)
     render_aovs(scene, 16, 0)
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()
-        scene.set_mesh(sphere(radius=0.7))
+        scene.set_mesh(sphere_mesh(radius=0.7))
         render_aovs(scene, 33, 7)
         kernels = dr.kernel_history([dr.KernelType.JIT])
     assert kernels
@@ -176,15 +176,15 @@ def test_mask_counts_pixels_that_are_face_skin_alone() -> None:
     assert (maps.coverage[maps.mask == 1] == 1).all()
     assert 0.2 < maps.mask.mean() < 0.7
     for eye in ("eye_image_left", "eye_image_right"):
-        column, row = (project(face.landmarks[eye], spec.camera) / 2).astype(int)
+        column, row = (project_points(face.landmarks[eye], spec.camera) / 2).astype(int)
         assert maps.mask[row - 1 : row + 2, column - 2 : column + 3].min() == 0  # eyeballs are no skin
 
 
 def test_a_bad_request_is_refused() -> None:
-    scene = SurfaceScene(plane(), SMALL)
+    scene = SurfaceScene(plane_mesh(), SMALL)
     with pytest.raises(InputError, match="samples: 0 "):
         render_aovs(scene, 0, 0)
     with pytest.raises(InputError, match="make a new SurfaceScene"):
-        scene.set_mesh(sphere())
+        scene.set_mesh(sphere_mesh())
     with pytest.raises(InputError, match="environment: NaN, inf or negative"):
         scene.set_environment(-1.0)

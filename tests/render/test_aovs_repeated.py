@@ -14,7 +14,7 @@ from sfsnet_dr.core import runtime
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.render.aovs import TransportOptions, render_aovs
 from sfsnet_dr.scene.jit import dr
-from sfsnet_dr.scene.mesh import NO_REGION, Region, bowl, sphere
+from sfsnet_dr.scene.mesh import NO_REGION, Region, bowl_mesh, sphere_mesh
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
 from sfsnet_dr.scene.spec import CameraSpec
 
@@ -32,7 +32,7 @@ def scene_of(gloss: bool) -> SurfaceScene:
 
 def test_regions_are_those_of_most_of_the_pixel() -> None:
     mesh = bowl_and_ball()
-    on_ball = np.arange(len(mesh.vertices)) >= len(bowl().vertices)
+    on_ball = np.arange(len(mesh.vertices)) >= len(bowl_mesh().vertices)
     mesh = replace(mesh, regions=np.where(on_ball, Region.IRIS, Region.EAR).astype(np.uint8))
     maps = render_aovs(SurfaceScene(mesh, SMALL), 16, 0)
     labels = maps.regions
@@ -76,7 +76,7 @@ def test_a_second_face_compiles_nothing() -> None:
 
 
 def test_an_empty_picture_is_black() -> None:
-    aside = replace(sphere(), vertices=sphere().vertices + np.array([5.0, 0.0, 0.0]))
+    aside = replace(sphere_mesh(), vertices=sphere_mesh().vertices + np.array([5.0, 0.0, 0.0]))
     maps = render_aovs(SurfaceScene(aside, TINY, gloss=True), 4, 0, FULL, DIRECTIONS)
     assert maps.transport.shape == (25, 24, 24, 3)
     assert maps.gloss.shape == (9, 24, 24)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sfsnet_dr.render.bsdf_sampling import Scatter, prepare
-from sfsnet_dr.scene.jit import dr, mi, upload
-from sfsnet_dr.scene.mesh import sphere
+from sfsnet_dr.render.bsdf_sampling import Scatter, prepare_scatter
+from sfsnet_dr.scene.jit import dr, mi, upload_array
+from sfsnet_dr.scene.mesh import sphere_mesh
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene, camera_rays
 from sfsnet_dr.scene.spec import CameraSpec
 from sfsnet_dr.sh.basis import sh_basis
@@ -22,19 +22,19 @@ COUNT = 40_000
 
 def points(gloss: bool, seed: int = 0) -> tuple[SurfaceScene, mi.SurfaceInteraction3f, mi.Bool]:
     """A ball of uneven roughness, and points of it all over the image; some rays miss it."""
-    ball = sphere(albedo=(0.6, 0.3, 0.1))
+    ball = sphere_mesh(albedo=(0.6, 0.3, 0.1))
     mix = np.random.default_rng(0).uniform(size=len(ball.vertices))
     scene = SurfaceScene(replace(ball, roughness_mix=mix), CameraSpec(size=32), gloss=gloss)
     pixel = dr.arange(mi.UInt32, COUNT) % (32 * 32)
     hit = scene.mi_scene.ray_intersect(camera_rays(scene.camera, pixel, square(seed)))
-    prepare()
+    prepare_scatter()
     return scene, hit, hit.is_valid()
 
 
 def square(seed: int) -> mi.Point2f:
     """Random points of the unit square."""
     return mi.Point2f(
-        *(upload(mi.Float, axis) for axis in np.random.default_rng(seed).uniform(size=(2, COUNT)))
+        *(upload_array(mi.Float, axis) for axis in np.random.default_rng(seed).uniform(size=(2, COUNT)))
     )
 
 

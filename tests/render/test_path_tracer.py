@@ -12,7 +12,7 @@ from sfsnet_dr.render.path_tracer import path_trace
 from sfsnet_dr.render.shading_numpy import f_render
 from sfsnet_dr.scene.jit import mi
 from sfsnet_dr.scene.lights.equirect import MAP_SIZE
-from sfsnet_dr.scene.mesh import plane, sphere
+from sfsnet_dr.scene.mesh import plane_mesh, sphere_mesh
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
 from sfsnet_dr.scene.spec import CameraSpec
 from sfsnet_dr.sh.basis import sh_basis
@@ -22,7 +22,7 @@ SMALL = CameraSpec(size=32)
 
 
 def test_a_white_furnace_shows_the_albedo() -> None:
-    scene = SurfaceScene(plane(albedo=(0.2, 0.5, 0.8)), SMALL)
+    scene = SurfaceScene(plane_mesh(albedo=(0.2, 0.5, 0.8)), SMALL)
     scene.set_environment(1.0)
     image = path_trace(scene, 512, 0, depth=2)
     # Emitter sampling leaves noise; the mean over 1,024 pixels is known to 1e-4.
@@ -33,7 +33,7 @@ def test_a_white_furnace_shows_the_albedo() -> None:
 
 def test_one_directional_light_on_a_plane_is_lamberts_law() -> None:
     direction, irradiance = np.array([0.6, 0.0, 0.8]), np.array([1.0, 2.0, 3.0])
-    image = path_trace(SurfaceScene(plane(), SMALL, [(direction, irradiance)]), 4, 0, depth=2)
+    image = path_trace(SurfaceScene(plane_mesh(), SMALL, [(direction, irradiance)]), 4, 0, depth=2)
     # albedo / pi * E * cos: no randomness is left, float32 rounding only.
     np.testing.assert_allclose(
         image.mean, np.broadcast_to(0.5 / np.pi * irradiance * 0.8, (32, 32, 3)), rtol=1e-5
@@ -44,7 +44,7 @@ def test_one_directional_light_on_a_plane_is_lamberts_law() -> None:
 def test_light_comes_from_where_its_direction_points() -> None:
     for axis, brighter in ((np.array([1.0, 0, 0.3]), (0, 1)), (np.array([0, 1.0, 0.3]), (1, 0))):
         light = [(axis / np.linalg.norm(axis), np.ones(3))]
-        image = path_trace(SurfaceScene(sphere(), SMALL, light), 8, 0, depth=2).mean[..., 0]
+        image = path_trace(SurfaceScene(sphere_mesh(), SMALL, light), 8, 0, depth=2).mean[..., 0]
         left_to_right = image[:, 16:].mean() - image[:, :16].mean()
         bottom_to_top = image[:16].mean() - image[16:].mean()
         assert (left_to_right, bottom_to_top)[brighter.index(1) ^ 1] > 0.02
@@ -57,7 +57,7 @@ def test_irradiance_on_a_sphere_under_an_sh_environment_is_the_oracles() -> None
     shrink with resolution and were measured at 64 pixels against 512: below 8e-4 of the radiance inside.
     """
     camera = CameraSpec(size=64)
-    scene = SurfaceScene(sphere(), camera)
+    scene = SurfaceScene(sphere_mesh(), camera)
     coefficients = np.array([[3.0, 2.8, 2.6], [0.8, 0.2, 0.4], [0.2, 0.9, 0.1], [0.6, 0.3, 0.9], [0.2] * 3,
                              [0.1] * 3, [-0.2] * 3, [0.15] * 3, [-0.1] * 3])  # fmt: skip
     sky = sh_basis(equirect_directions(*MAP_SIZE), 2) @ coefficients
@@ -77,7 +77,7 @@ def test_irradiance_on_a_sphere_under_an_sh_environment_is_the_oracles() -> None
 
 
 def test_the_variance_is_that_of_the_mean() -> None:
-    scene = SurfaceScene(sphere(), SMALL)
+    scene = SurfaceScene(sphere_mesh(), SMALL)
     scene.set_environment(np.linspace(0.2, 2.0, MAP_SIZE[1])[None, :, None] ** 2)
     runs = [path_trace(scene, 32, seed, depth=2) for seed in range(24)]
     inside = runs[0].mean.min(axis=-1) > 0
@@ -88,7 +88,7 @@ def test_the_variance_is_that_of_the_mean() -> None:
 
 
 def test_noise_falls_as_one_over_the_samples() -> None:
-    scene = SurfaceScene(sphere(), SMALL)
+    scene = SurfaceScene(sphere_mesh(), SMALL)
     scene.set_environment(np.linspace(0.2, 2.0, MAP_SIZE[1])[None, :, None] ** 2)
     few, many = (path_trace(scene, n, 3, depth=2).variance.mean() for n in (32, 512))
     assert few / many == pytest.approx(16, rel=0.1)
@@ -96,7 +96,7 @@ def test_noise_falls_as_one_over_the_samples() -> None:
 
 def test_mitsubas_own_camera_sees_the_same_image() -> None:
     """Our rays against Mitsuba's sensor and film: half a pixel's shift, a flip or a scale would show."""
-    scene = SurfaceScene(sphere(radius=0.7), SMALL, [(np.array([0.48, 0.36, 0.8]), np.full(3, np.pi))])
+    scene = SurfaceScene(sphere_mesh(radius=0.7), SMALL, [(np.array([0.48, 0.36, 0.8]), np.full(3, np.pi))])
     ours = path_trace(scene, 1024, 0, depth=2)
     integrator = mi.load_dict({"type": "path", "max_depth": 2, "hide_emitters": True})
     runs = np.stack(
@@ -117,4 +117,4 @@ def test_mitsubas_own_camera_sees_the_same_image() -> None:
 
 def test_too_few_samples_are_refused() -> None:
     with pytest.raises(InputError, match="samples: 1 found, at least 2"):
-        path_trace(SurfaceScene(plane(), SMALL), 1, 0)
+        path_trace(SurfaceScene(plane_mesh(), SMALL), 1, 0)

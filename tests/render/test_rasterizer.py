@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sfsnet_dr.render.rasterizer import rasterise
-from sfsnet_dr.scene.mesh import sphere
+from sfsnet_dr.scene.mesh import sphere_mesh
 
 Array = npt.NDArray[np.float64]
 
@@ -35,7 +35,7 @@ def test_the_nearer_of_two_is_seen_whatever_their_order() -> None:
 
 
 def test_a_ball_shows_its_normals() -> None:
-    ball = sphere(radius=1.0, rings=96)
+    ball = sphere_mesh(radius=1.0, rings=96)
     size, radius = 64, 28.0
     points = size / 2 + radius * ball.vertices[:, :2] * (1, -1)
     picture, seen = rasterise(points, -ball.vertices[:, 2], ball.faces, ball.normals, size)

@@ -10,8 +10,8 @@ from helpers.bowls import bowl_and_ball
 from numpy.typing import NDArray
 
 from sfsnet_dr.render.aovs import TransportOptions, render_aovs
-from sfsnet_dr.scene.jit import mi, upload
-from sfsnet_dr.scene.mesh import bowl, joined, sphere
+from sfsnet_dr.scene.jit import mi, upload_array
+from sfsnet_dr.scene.mesh import bowl_mesh, join_meshes, sphere_mesh
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene, camera_rays
 from sfsnet_dr.scene.spec import CameraSpec
 
@@ -30,7 +30,7 @@ def test_light_between_the_points_of_a_bowl_is_a_geometric_series(bounces: int) 
     r / 2 times 1 + r / 2 + ... + (r / 2)^b.
     """
     colour = np.array([0.2, 0.5, 0.8])
-    scene = SurfaceScene(bowl(tuple(colour)), SMALL)
+    scene = SurfaceScene(bowl_mesh(tuple(colour)), SMALL)
     maps = render_aovs(scene, 64, 0, replace(FULL, bounces=bounces))
     inside = maps.coverage == 1
     inside &= np.hypot(*np.meshgrid(*[np.linspace(-1, 1, 32)] * 2)) < 0.8  # away from the facets of the rim
@@ -49,9 +49,11 @@ def test_a_lamp_into_a_bowl_is_spread_evenly_by_its_first_bounce() -> None:
     albedo = 0.6
     lamp = np.array([[0.0, 0.0, 1.0]])
     with_bounces = render_aovs(
-        SurfaceScene(bowl((albedo,) * 3), SMALL), 32, 0, replace(FULL, bounces=2), lamp
+        SurfaceScene(bowl_mesh((albedo,) * 3), SMALL), 32, 0, replace(FULL, bounces=2), lamp
     )
-    without = render_aovs(SurfaceScene(bowl((albedo,) * 3), SMALL), 32, 0, replace(FULL, bounces=0), lamp)
+    without = render_aovs(
+        SurfaceScene(bowl_mesh((albedo,) * 3), SMALL), 32, 0, replace(FULL, bounces=0), lamp
+    )
     inside = without.coverage == 1
     inside &= np.hypot(*np.meshgrid(*[np.linspace(-1, 1, 32)] * 2)) < 0.8
     depth = np.abs(without.normal[..., 2])[inside]
@@ -66,7 +68,7 @@ def test_a_lamp_into_a_bowl_is_spread_evenly_by_its_first_bounce() -> None:
 def test_gloss_in_a_white_sky_is_the_reflectance_of_the_lobes() -> None:
     """On a black ball nothing is left but G; its value for Y_0 is an integral of Mitsuba's BSDF."""
     for mix in (0.0, 1.0):
-        ball = sphere(radius=0.8, albedo=(0.0, 0.0, 0.0))
+        ball = sphere_mesh(radius=0.8, albedo=(0.0, 0.0, 0.0))
         ball = replace(ball, roughness_mix=np.full(len(ball.vertices), mix))
         scene = SurfaceScene(ball, SMALL, gloss=True)
         maps = render_aovs(scene, 64, 0, FULL)
@@ -80,7 +82,7 @@ def test_gloss_in_a_white_sky_is_the_reflectance_of_the_lobes() -> None:
 
 def test_albedo_under_gloss_is_what_is_seen_straight_on_in_a_white_sky() -> None:
     for mix in (0.0, 0.4, 1.0):
-        ball = sphere(radius=0.9, albedo=(0.1, 0.4, 0.7))
+        ball = sphere_mesh(radius=0.9, albedo=(0.1, 0.4, 0.7))
         ball = replace(ball, roughness_mix=np.full(len(ball.vertices), mix))
         maps = render_aovs(SurfaceScene(ball, SMALL, gloss=True), 16, 0, FULL)
         # Nothing shadows the ball, so that T has no noise; a pixel in the middle is seen from 2 degrees.
@@ -103,7 +105,7 @@ def reflectance(scene: SurfaceScene, cosine: float) -> float:
     grid_z, grid_phi = (grid.ravel() for grid in np.meshgrid(z, phi))
     radius = np.sqrt(1 - grid_z**2)
     axes = (radius * np.cos(grid_phi), radius * np.sin(grid_phi), grid_z)
-    toward = mi.Vector3f(*(upload(mi.Float, axis) for axis in axes))
+    toward = mi.Vector3f(*(upload_array(mi.Float, axis) for axis in axes))
     pixel = mi.UInt32(16 * 32 + 16)
     hit = scene.mi_scene.ray_intersect(camera_rays(scene.camera, pixel, mi.Point2f(0.5)))
     hit.wi = mi.Vector3f(float(np.sqrt(1 - cosine**2)), 0.0, float(cosine))
@@ -132,9 +134,9 @@ def test_no_pixel_reflects_more_than_it_gets(gloss: bool) -> None:
 def test_light_that_a_ball_keeps_off_a_ball_is_not_there() -> None:
     """One ball in front of another along the lamp's direction: its shadow is as wide as itself."""
     lamp = np.array([[0.6, 0.0, 0.8]])
-    near = sphere(radius=0.2, rings=48)
+    near = sphere_mesh(radius=0.2, rings=48)
     near = replace(near, vertices=near.vertices + 0.75 * lamp[0])
-    scene = SurfaceScene(joined(sphere(radius=0.4, rings=48), near), SMALL)
+    scene = SurfaceScene(join_meshes(sphere_mesh(radius=0.4, rings=48), near), SMALL)
     maps = render_aovs(scene, 16, 0, replace(FULL, bounces=0), lamp)
     ball = (maps.coverage == 1) & (np.abs(maps.albedo[..., 0] - 0.5) < 1e-3)
     point = maps.normal * 0.4  # of the ball at the origin

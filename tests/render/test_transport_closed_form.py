@@ -12,7 +12,7 @@ import torch
 from helpers.bowls import DIRECTIONS, bowl_and_ball, turned
 from numpy.typing import NDArray
 
-from sfsnet_dr.data.transforms.flip import flip_transport
+from sfsnet_dr.data.transforms.mirror import mirror_transport
 from sfsnet_dr.metrics.equivalence import z_test
 from sfsnet_dr.metrics.noise_free import bias_squared
 from sfsnet_dr.render.aovs import TransportMaps, TransportOptions, render_aovs
@@ -169,7 +169,7 @@ def test_the_mirrored_scene_answers_to_the_mirrored_light() -> None:
 
 def flipped(transport: Image) -> Array:
     moved = torch.from_numpy(np.moveaxis(transport, -1, 1).astype(np.float64))
-    return np.moveaxis(flip_transport(moved).numpy(), 1, -1)
+    return np.moveaxis(mirror_transport(moved).numpy(), 1, -1)
 
 
 def test_turning_the_scene_turns_the_coefficients() -> None:

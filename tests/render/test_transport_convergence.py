@@ -17,7 +17,7 @@ from sfsnet_dr.render.renderers.base import Budget
 from sfsnet_dr.render.renderers.registry import find_renderer
 from sfsnet_dr.render.sobol import Sampler
 from sfsnet_dr.scene.lights.light import Light
-from sfsnet_dr.scene.mesh import SHAPES, sphere
+from sfsnet_dr.scene.mesh import SHAPES, sphere_mesh
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
 from sfsnet_dr.scene.spec import CameraSpec, SamplingSpec, SceneSpec
 from sfsnet_dr.scene.subject import Subject
@@ -46,7 +46,7 @@ MODELS[4] += ["drjit-order4-visibility", "drjit-order4-bounce"]
 @cache
 def ball() -> Subject:
     spec = SceneSpec("ball", "sphere", sampling=SamplingSpec(transport=64, paths=1))
-    return Subject(spec, 0, sphere(), CameraSpec(size=48))
+    return Subject(spec, 0, sphere_mesh(), CameraSpec(size=48))
 
 
 @cache

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sfsnet_dr.report.console import bar, lines
+from sfsnet_dr.report.console import progress_bar, record_lines
 from sfsnet_dr.report.record import Record
 
 
@@ -13,15 +13,15 @@ def test_records_are_lines_in_columns() -> None:
         Record(what="demo.seconds", value=612.34, unit="s"),
         Record(what="validate.order2.sphere.rel_rmse", value=0.01234, unit="1", interval=(0.012, 0.0127)),
     ]
-    assert lines(records) == [
+    assert record_lines(records) == [
         "demo.seconds                     612.3 s",
         "validate.order2.sphere.rel_rmse  0.01234  [0.012, 0.0127]",
     ]
-    assert lines([]) == []
+    assert record_lines([]) == []
 
 
 def test_the_bar_counts_on_standard_error(capfd: pytest.CaptureFixture[str]) -> None:
-    with bar("rendering faces", 3) as advance:
+    with progress_bar("rendering faces", 3) as advance:
         advance()
         advance()
     told = capfd.readouterr()
@@ -31,6 +31,6 @@ def test_the_bar_counts_on_standard_error(capfd: pytest.CaptureFixture[str]) -> 
 
 
 def test_a_failure_under_the_bar_leaves_no_line_in_a_log(capfd: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(RuntimeError), bar("rendering faces", 3):
+    with pytest.raises(RuntimeError), progress_bar("rendering faces", 3):
         raise RuntimeError
     assert capfd.readouterr().err == ""

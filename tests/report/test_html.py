@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sfsnet_dr.report.html import Figure, Gallery, KeyNumbers, Note, Section, Table, page, write_page
+from sfsnet_dr.report.html import Figure, Gallery, KeyNumbers, Note, Section, Table, render_page, write_page
 
 VOID = {"meta", "img", "br", "link", "input"}
 
@@ -63,7 +63,7 @@ def parsed(text: str) -> Balanced:
 
 
 def test_every_tag_is_closed_and_nothing_is_loaded_from_elsewhere() -> None:
-    text = page("Title", "Lead.", SECTIONS, footer="small print")
+    text = render_page("Title", "Lead.", SECTIONS, footer="small print")
     tags = parsed(text).seen
     assert "script" not in {tag for tag, _ in tags}
     addresses = [a for _, attributes in tags for k, a in attributes.items() if k in ("src", "href") and a]
@@ -74,13 +74,13 @@ def test_every_tag_is_closed_and_nothing_is_loaded_from_elsewhere() -> None:
 
 
 def test_phones_and_dark_mode_are_provided_for() -> None:
-    text = page("Title", "Lead.", SECTIONS)
+    text = render_page("Title", "Lead.", SECTIONS)
     assert 'name="viewport" content="width=device-width' in text
     assert "prefers-color-scheme: dark" in text
 
 
 def test_text_is_escaped_and_backticks_are_code() -> None:
-    text = page("A & B", "Lead <i>.", SECTIONS)
+    text = render_page("A & B", "Lead <i>.", SECTIONS)
     shown = parsed(text).text
     assert "A <b>caption</b> & more" in shown
     assert "Lead <i>." in shown
@@ -89,7 +89,7 @@ def test_text_is_escaped_and_backticks_are_code() -> None:
 
 
 def test_pictures_are_embedded_whole() -> None:
-    text = page("Title", "Lead.", SECTIONS)
+    text = render_page("Title", "Lead.", SECTIONS)
     found = [base64.b64decode(code) for code in re.findall(r"data:image/png;base64,([^\"]+)", text)]
     assert found == [png(), png(10), png(20)]
     images = [attributes for tag, attributes in parsed(text).seen if tag == "img"]
@@ -97,7 +97,7 @@ def test_pictures_are_embedded_whole() -> None:
 
 
 def test_links_lead_to_sections() -> None:
-    tags = parsed(page("Title", "Lead.", SECTIONS)).seen
+    tags = parsed(render_page("Title", "Lead.", SECTIONS)).seen
     links = [a["href"] for tag, a in tags if tag == "a"]
     assert links == ["#key-numbers", "#pictures", "#table"]
     assert [a["id"] for tag, a in tags if tag == "section"] == ["key-numbers", "pictures", "table"]
@@ -106,17 +106,17 @@ def test_links_lead_to_sections() -> None:
 def test_number_columns_are_set_to_the_right() -> None:
     table = Table(["name", "error", "time"], [["sphere", "-1.5 %", "2 ms"], ["head", "~ 3", "\u2013"]])
     assert [table.numeric(c) for c in range(3)] == [False, True, True]
-    tags = parsed(page("Title", "Lead.", [Section("T", [table])])).seen
+    tags = parsed(render_page("Title", "Lead.", [Section("T", [table])])).seen
     assert [a.get("class") for tag, a in tags if tag == "td"] == [None, "number", "number"] * 2
 
 
 def test_wrong_parts_are_refused() -> None:
     with pytest.raises(ValueError, match="PNG is needed"):
-        page("Title", "Lead.", [Section("S", [Figure(b"JFIF", "no")])])
+        render_page("Title", "Lead.", [Section("S", [Figure(b"JFIF", "no")])])
     with pytest.raises(ValueError, match="2 cells, 1 headers"):
         Table(["one"], [["a", "b"]])
     with pytest.raises(ValueError, match="must differ"):
-        page("Title", "Lead.", [Section("Same", []), Section("same", [])])
+        render_page("Title", "Lead.", [Section("Same", []), Section("same", [])])
 
 
 def test_a_page_is_one_file(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import io
 import numpy as np
 from matplotlib.image import imread
 
-from sfsnet_dr.report.pareto import TimedError, front, pareto_plot
+from sfsnet_dr.report.pareto import TimedError, pareto_front, pareto_plot
 
 POINTS = [
     TimedError("order 2", "SH", 1e-3, 2e-2, (1.5e-2, 2.6e-2)),
@@ -19,8 +19,8 @@ POINTS = [
 
 
 def test_the_front_holds_what_nothing_beats_in_both() -> None:
-    assert [point.name for point in front(POINTS)] == ["order 2", "order 4", "4096 paths"]
-    assert front([]) == []
+    assert [point.name for point in pareto_front(POINTS)] == ["order 2", "order 4", "4096 paths"]
+    assert pareto_front([]) == []
 
 
 def test_each_group_has_a_colour_and_points_without_error_are_left_out() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sfsnet_dr.report.plots import error_map, loss_curve, running_mean, signed_colours, spread
+from sfsnet_dr.report.plots import error_map, loss_curve, running_mean, signed_colours, spread_labels
 
 
 def pixels(png: bytes) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
@@ -22,10 +22,10 @@ def test_running_mean_is_the_mean_of_the_last_values() -> None:
 
 
 def test_spread_keeps_the_gap_and_moves_no_more_than_needed() -> None:
-    assert spread([0.0, 1.0], 0.1) == [0.0, 1.0]
-    np.testing.assert_allclose(spread([0.5, 0.5], 0.1), [0.45, 0.55])
-    np.testing.assert_allclose(spread([0.1, 0.5, 0.51, 0.52], 0.1), [0.1, 0.41, 0.51, 0.61])
-    placed = np.array(spread(sorted(np.random.default_rng(1).uniform(size=9)), 0.1))
+    assert spread_labels([0.0, 1.0], 0.1) == [0.0, 1.0]
+    np.testing.assert_allclose(spread_labels([0.5, 0.5], 0.1), [0.45, 0.55])
+    np.testing.assert_allclose(spread_labels([0.1, 0.5, 0.51, 0.52], 0.1), [0.1, 0.41, 0.51, 0.61])
+    placed = np.array(spread_labels(sorted(np.random.default_rng(1).uniform(size=9)), 0.1))
     assert np.diff(placed).min() > 0.1 - 1e-12
 
 

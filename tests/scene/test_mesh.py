@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.scene.mesh import Mesh, plane, sphere, vertex_normals
+from sfsnet_dr.scene.mesh import Mesh, plane_mesh, sphere_mesh, vertex_normals
 
 
 def test_sphere_vertices_lie_on_it_and_its_normals_are_exact() -> None:
-    ball = sphere(radius=0.9)
+    ball = sphere_mesh(radius=0.9)
     np.testing.assert_allclose(np.linalg.norm(ball.vertices, axis=1), 0.9, rtol=1e-14)
     np.testing.assert_allclose(ball.vertices, 0.9 * ball.normals, atol=1e-14)
 
 
 def test_sphere_triangles_face_outward() -> None:
-    ball = sphere(rings=16)
+    ball = sphere_mesh(rings=16)
     corners = ball.vertices[ball.faces]
     area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     outward = np.einsum("fc,fc->f", area, corners.mean(axis=1))
@@ -28,7 +28,7 @@ def test_sphere_triangles_face_outward() -> None:
 def test_sphere_area_and_volume_converge_to_the_closed_forms() -> None:
     # A latitude-longitude mesh of n rings is second order: its errors fall by 4 when n doubles.
     def errors(rings: int) -> tuple[float, float]:
-        ball = sphere(radius=1.0, rings=rings)
+        ball = sphere_mesh(radius=1.0, rings=rings)
         a, b, c = np.moveaxis(ball.vertices[ball.faces], 1, 0)
         area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
         volume = np.einsum("fc,fc->f", a, np.cross(b, c)).sum() / 6
@@ -40,7 +40,7 @@ def test_sphere_area_and_volume_converge_to_the_closed_forms() -> None:
 
 
 def test_vertex_normals_of_a_sphere_agree_with_the_exact_ones() -> None:
-    ball = sphere(rings=48)
+    ball = sphere_mesh(rings=48)
     found = vertex_normals(ball.vertices, ball.faces)
     angle = np.degrees(np.arccos(np.clip(np.einsum("vc,vc->v", found, ball.normals), -1, 1)))
     polar = np.degrees(np.arccos(np.clip(np.abs(ball.normals[:, 1]), 0, 1)))
@@ -49,7 +49,7 @@ def test_vertex_normals_of_a_sphere_agree_with_the_exact_ones() -> None:
 
 
 def test_vertex_normals_turn_with_the_mesh() -> None:
-    ball = sphere(rings=12)
+    ball = sphere_mesh(rings=12)
     squeezed = ball.vertices * (1.0, 0.6, 1.3)
     turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
@@ -58,7 +58,7 @@ def test_vertex_normals_turn_with_the_mesh() -> None:
 
 
 def test_plane_faces_the_viewer() -> None:
-    square = plane()
+    square = plane_mesh()
     np.testing.assert_array_equal(square.normals, np.tile([0.0, 0.0, 1.0], (4, 1)))
     np.testing.assert_allclose(vertex_normals(square.vertices, square.faces), square.normals, atol=1e-15)
 
@@ -72,6 +72,6 @@ def test_plane_faces_the_viewer() -> None:
     ],
 )
 def test_a_wrong_mesh_is_refused(change: dict[str, np.ndarray], words: str) -> None:
-    square = plane()
+    square = plane_mesh()
     with pytest.raises(InputError, match=words.replace("(", r"\(").replace(")", r"\)")):
         Mesh(**(square.__dict__ | change))

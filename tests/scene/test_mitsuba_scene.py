@@ -10,9 +10,9 @@ from helpers.bowls import DIRECTIONS, bowl_and_ball
 from numpy.typing import NDArray
 
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.scene.jit import dr, mi, upload
+from sfsnet_dr.scene.jit import dr, mi, upload_array
 from sfsnet_dr.scene.lights.equirect import MAP_SIZE
-from sfsnet_dr.scene.mesh import sphere
+from sfsnet_dr.scene.mesh import sphere_mesh
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
 from sfsnet_dr.scene.spec import CameraSpec
 
@@ -55,7 +55,7 @@ def test_an_exchanged_scene_is_the_one_built_anew(gloss: bool) -> None:
 
 
 def test_triangles_are_exchanged_with_the_mesh() -> None:
-    ball = sphere(rings=16)
+    ball = sphere_mesh(rings=16)
     scene = SurfaceScene(ball, CAMERA)
     scene.set_environment(1.0)
     lit = rendered(scene).mean()
@@ -66,7 +66,7 @@ def test_triangles_are_exchanged_with_the_mesh() -> None:
 
 
 def test_what_a_scene_was_not_made_for_is_refused() -> None:
-    scene = SurfaceScene(sphere(), CAMERA, [(DIRECTIONS[0], RED)])
+    scene = SurfaceScene(sphere_mesh(), CAMERA, [(DIRECTIONS[0], RED)])
     with pytest.raises(InputError, match=r"camera\.size: 32 found, 24 expected"):
         scene.set_camera(CameraSpec(size=32))
     with pytest.raises(InputError, match="directional: 2 lights found, 1 expected"):
@@ -75,14 +75,14 @@ def test_what_a_scene_was_not_made_for_is_refused() -> None:
         scene.set_environment(1.0)
     with pytest.raises(InputError, match="vertices"):
         scene.set_mesh(bowl_and_ball())
-    assert scene.fits(sphere(), replace(CAMERA, distance=3.0))
-    assert not scene.fits(sphere(), CameraSpec(size=32))
+    assert scene.fits(sphere_mesh(), replace(CAMERA, distance=3.0))
+    assert not scene.fits(sphere_mesh(), CameraSpec(size=32))
 
 
 def test_uploaded_arrays_are_aligned_whatever_numpy_gave() -> None:
     memory = np.arange(1000, dtype=np.float32)
     for shift in range(8):
-        array = upload(mi.Float, memory[shift:].reshape(-1, 1))
+        array = upload_array(mi.Float, memory[shift:].reshape(-1, 1))
         np.testing.assert_array_equal(np.asarray(array), memory[shift:])
         assert dr.width(array) == 1000 - shift
         assert np.asarray(array).ctypes.data % 64 == 0

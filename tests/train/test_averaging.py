@@ -12,7 +12,7 @@ from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.core.provenance import sha256
 from sfsnet_dr.models.sfsnet import SfSNet
 from sfsnet_dr.models.weights import load_weights, read_metadata, save_weights
-from sfsnet_dr.train.averaging import mean_weights
+from sfsnet_dr.train.averaging import average_weights
 
 RECIPE = {"recipe": {"data": {"size": 64, "crop": 96}}}
 
@@ -32,7 +32,7 @@ def files(tmp_path: Path) -> list[Path]:
 
 def test_every_tensor_is_the_mean_by_shares(files: list[Path]) -> None:
     first, second = (load_weights(path).state_dict() for path in files)
-    found = mean_weights(files, (1, 3))
+    found = average_weights(files, (1, 3))
     assert not found.training
     for name, tensor in found.state_dict().items():
         if tensor.is_floating_point():
@@ -43,7 +43,7 @@ def test_every_tensor_is_the_mean_by_shares(files: list[Path]) -> None:
 
 
 def test_equal_shares_are_the_default_and_units_do_not_matter(files: list[Path]) -> None:
-    one, other = mean_weights(files).state_dict(), mean_weights(files, (5, 5)).state_dict()
+    one, other = average_weights(files).state_dict(), average_weights(files, (5, 5)).state_dict()
     assert all(torch.equal(one[name], other[name]) for name in one)
 
 
@@ -56,7 +56,7 @@ def test_the_command_tells_what_the_mean_is_of(files: list[Path], tmp_path: Path
         {"sha256": sha256(files[1]), "share": 7.0},
     ]
     assert told["step"] == 2
-    expected = mean_weights(files, (0.3, 0.7)).state_dict()
+    expected = average_weights(files, (0.3, 0.7)).state_dict()
     for name, tensor in load_weights(out).state_dict().items():
         torch.testing.assert_close(tensor, expected[name], rtol=1e-6, atol=1e-7)
 
@@ -71,14 +71,14 @@ def test_the_command_tells_what_the_mean_is_of(files: list[Path], tmp_path: Path
 )
 def test_shares_that_do_not_fit_are_refused(files: list[Path], shares: tuple[float, ...], told: str) -> None:
     with pytest.raises(InputError, match=told):
-        mean_weights(files, shares)
+        average_weights(files, shares)
 
 
 def test_one_network_and_networks_of_two_kinds_are_refused(files: list[Path], tmp_path: Path) -> None:
     with pytest.raises(InputError, match="two files at least"):
-        mean_weights(files[:1])
+        average_weights(files[:1])
     save_weights(tmp_path / "wide.safetensors", SfSNet(8, 8, 1), RECIPE)
     save_weights(tmp_path / "whole.safetensors", SfSNet(4, 8, 1))
     for name in ("wide", "whole"):
         with pytest.raises(InputError, match=f"{name}.*only networks of one kind"):
-            mean_weights([files[0], tmp_path / f"{name}.safetensors"])
+            average_weights([files[0], tmp_path / f"{name}.safetensors"])

@@ -18,7 +18,7 @@ from helpers.spheres import write_spheres
 from torch import Tensor
 
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.data.batch import dealt
+from sfsnet_dr.data.batch import shard
 from sfsnet_dr.data.dataset import RelitFaces, load_faces
 from sfsnet_dr.data.mixed_batch import MixedFaces, RealFaces
 from sfsnet_dr.data.pseudo_labels import load_pseudo_labels
@@ -26,7 +26,7 @@ from sfsnet_dr.data.transforms.background import Augmentation
 from sfsnet_dr.data.transforms.camera import PhotoOptions
 from sfsnet_dr.models.inference import predict
 from sfsnet_dr.models.weights import load_weights
-from sfsnet_dr.train.distributed import Team, join
+from sfsnet_dr.train.distributed import ProcessGroup, join_process_group
 from sfsnet_dr.train.logging import read_history
 from sfsnet_dr.train.run import HISTORY, WEIGHTS
 from sfsnet_dr.train.step import training_step
@@ -131,7 +131,7 @@ def test_a_step_of_two_is_the_step_of_one(tmp_path: Path, monkeypatch: pytest.Mo
         monkeypatch.setattr(module, threads)
 
     def step(rank: int) -> None:
-        team, model = Team(rank, 2), members[rank]
+        team, model = ProcessGroup(rank, 2), members[rank]
         team.prepare(model)
         adam = torch.optim.Adam(model.parameters())
         told[rank] = training_step(model, adam, batches.batch(0, rank, 2), RECIPE, 1e-3, team)
@@ -189,14 +189,14 @@ def test_parts_of_a_batch_are_the_batch(tmp_path: Path) -> None:
 
 
 def test_a_batch_that_cannot_be_dealt_out_is_refused() -> None:
-    assert [dealt(6, rank, 3) for rank in range(3)] == [slice(0, 2), slice(2, 4), slice(4, 6)]
+    assert [shard(6, rank, 3) for rank in range(3)] == [slice(0, 2), slice(2, 4), slice(4, 6)]
     with pytest.raises(InputError, match="5 images of a kind found, a multiple of the 2 processes"):
-        dealt(5, 0, 2)
+        shard(5, 0, 2)
 
 
 def test_a_process_alone_needs_no_one() -> None:
-    with join("cpu") as team:
-        assert team.leads
+    with join_process_group("cpu") as team:
+        assert team.is_main_process
         assert team.any(True)
         assert not team.any(False)
 

@@ -12,20 +12,20 @@ from torch import Tensor, nn
 
 from sfsnet_dr.core.conventions import LIGHT_SIZE
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.data.mixed_batch import RealOptions
+from sfsnet_dr.data.mixed_batch import PseudoLabelOptions
 from sfsnet_dr.data.photos import photo_folder
-from sfsnet_dr.data.pseudo_labels import decoded, encoded, load_pseudo_labels
+from sfsnet_dr.data.pseudo_labels import decode_labels, encode_labels, load_pseudo_labels
 from sfsnet_dr.data.transforms.background import Augmentation
-from sfsnet_dr.data.transforms.crop import View
-from sfsnet_dr.data.transforms.flip import flip_light, flip_map, flip_normal
+from sfsnet_dr.data.transforms.crop import Crop
+from sfsnet_dr.data.transforms.mirror import mirror_light, mirror_map, mirror_normal
 from sfsnet_dr.models.base import NetworkOutput
 from sfsnet_dr.models.sfsnet import SfSNet
 from sfsnet_dr.models.weights import save_weights
 from sfsnet_dr.render.shading_torch import f_render
 from sfsnet_dr.train import pseudo_label as module
 from sfsnet_dr.train.config import Recipe
-from sfsnet_dr.train.pseudo_label import confident_answer, pseudo_label
-from sfsnet_dr.train.sources import real_part
+from sfsnet_dr.train.pseudo_label import predict_with_confidence, pseudo_label
+from sfsnet_dr.train.sources import configure_sources
 
 
 class Frank(nn.Module):
@@ -59,15 +59,16 @@ def test_reflected_light_is_the_light_of_the_reflected_face() -> None:
     generator = torch.Generator().manual_seed(0)
     normal = torch.randn(1, 3, 4, 6, generator=generator)
     albedo, light = torch.rand(1, 3, 4, 6), torch.randn(1, LIGHT_SIZE, generator=generator)
-    straight = f_render(flip_normal(normal), flip_map(albedo), flip_light(light))
-    torch.testing.assert_close(straight, flip_map(f_render(normal, albedo, light)))
+    straight = f_render(mirror_normal(normal), mirror_map(albedo), mirror_light(light))
+    torch.testing.assert_close(straight, mirror_map(f_render(normal, albedo, light)))
     assert not torch.allclose(
-        f_render(flip_normal(normal), flip_map(albedo), light), flip_map(f_render(normal, albedo, light))
+        f_render(mirror_normal(normal), mirror_map(albedo), light),
+        mirror_map(f_render(normal, albedo, light)),
     )
 
 
 def test_answers_that_agree_are_sure() -> None:
-    answer, confidence = confident_answer(Frank(), smooth())
+    answer, confidence = predict_with_confidence(Frank(), smooth())
     inner = (..., slice(4, -4), slice(4, -4))  # the border is repeated where views move it in
     assert float(confidence[inner].min()) > 0.999
     torch.testing.assert_close(answer.albedo[inner], 0.5 * smooth()[inner], rtol=1e-4, atol=1e-5)
@@ -76,7 +77,7 @@ def test_answers_that_agree_are_sure() -> None:
 
 def test_answers_that_differ_are_not() -> None:
     """The four views say (+-x, 0, z) by halves, atan(.5) = 26.6 degrees off a mean of length cos 26.6."""
-    _, confidence = confident_answer(Frank(sides=True), torch.full((1, 3, 16, 16), 0.4))
+    _, confidence = predict_with_confidence(Frank(sides=True), torch.full((1, 3, 16, 16), 0.4))
     spread = 2 * (1 - 1 / 1.25**0.5)
     torch.testing.assert_close(
         confidence, torch.full_like(confidence, 1 / (1 + spread / module.HALF_ANGLE**2))
@@ -91,7 +92,7 @@ def test_what_is_kept_is_rounded_as_promised() -> None:
     picture = torch.randint(0, 256, (3, 3, 16, 16), generator=generator).to(torch.uint8)
     confidence = torch.rand(3, 1, 16, 16, generator=generator)
     light = torch.randn(3, LIGHT_SIZE, generator=generator)
-    back = decoded(encoded(picture, picture[:, :1], confidence, normal, albedo, light))
+    back = decode_labels(encode_labels(picture, picture[:, :1], confidence, normal, albedo, light))
     cosine = (back.normal * normal).sum(1).clamp(-1, 1)
     # Half a step in each of three numbers: sqrt(3) / 254 radians.
     assert float(torch.rad2deg(torch.acos(cosine)).max()) <= 0.40
@@ -159,10 +160,10 @@ def test_labels_show_as_much_of_the_frame_as_their_network_saw(tmp_path: Path) -
     pseudo_label(source, tmp_path / "w.safetensors", tmp_path / "out")
     found = load_pseudo_labels(tmp_path / "out")
     assert found.spec["crop"] == 96
-    assert torch.equal(found.labels.mask, source.load(found.names, View(16, 96)).masks)
-    assert not torch.equal(found.labels.mask, source.load(found.names, View(16)).masks)
-    recipe = Recipe(steps=1, batch_size=4, data=Augmentation(size=16), real=RealOptions(share=0.5))
+    assert torch.equal(found.labels.mask, source.load(found.names, Crop(16, 96)).masks)
+    assert not torch.equal(found.labels.mask, source.load(found.names, Crop(16)).masks)
+    recipe = Recipe(steps=1, batch_size=4, data=Augmentation(size=16), real=PseudoLabelOptions(share=0.5))
     with pytest.raises(InputError, match=r"labels of 96 of .* pixels found, data\.crop 128 is needed"):
-        real_part(recipe, tmp_path / "out", None, None)
+        configure_sources(recipe, tmp_path / "out", None, None)
     middle = replace(recipe, data=replace(recipe.data, crop=96))
-    assert real_part(middle, tmp_path / "out", None, None).counts == (2,)
+    assert configure_sources(middle, tmp_path / "out", None, None).counts == (2,)

@@ -41,7 +41,7 @@ def test_it_is_gone_on_with_as_if_it_was_never_stopped(
     spheres: Path, first: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = train(RECIPE, spheres, tmp_path / "whole", progress=False, start=first).weights
-    monkeypatch.setattr("sfsnet_dr.train.run.Run.finish", _stop)
+    monkeypatch.setattr("sfsnet_dr.train.run.TrainingRun.finish", _stop)
     with pytest.raises(RunError):
         train(replace(RECIPE, steps=4), spheres, tmp_path / "cut", progress=False, start=first)
     monkeypatch.undo()

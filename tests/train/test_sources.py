@@ -12,26 +12,26 @@ from data.test_normal_dataset import RECIPE
 from helpers.captures import SIZE, face
 
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.data.mixed_batch import MixedBatch, RealFaces, RealOptions, RealTogether
-from sfsnet_dr.data.normal_dataset import SurfaceFaces, SurfaceOptions
+from sfsnet_dr.data.mixed_batch import ConcatSource, MixedBatch, PseudoLabelOptions, RealFaces
+from sfsnet_dr.data.normal_dataset import NormalLabelFaces, NormalLabelOptions
 from sfsnet_dr.data.pseudo_labels import load_pseudo_labels
-from sfsnet_dr.losses.sfsnet import LossWeights, light_trust, mixed_loss
+from sfsnet_dr.losses.sfsnet import LossWeights, light_confidence, mixed_loss
 from sfsnet_dr.models.base import NetworkOutput
-from sfsnet_dr.train.sources import real_part
+from sfsnet_dr.train.sources import configure_sources
 from sfsnet_dr.train.trainer import train
 
 
 def test_a_lamp_behind_a_face_does_not_outweigh_the_others() -> None:
     """Its picture is 500 times darker; an error of a tenth of each light then costs a hundredth at most."""
-    options, labels = SurfaceOptions(exposure=0.0, flip=0.0), face("a2")
+    options, labels = NormalLabelOptions(exposure=0.0, flip=0.0), face("a2")
     dark = replace(labels, image=labels.image * torch.tensor([1, 1, 1, 0.002])[:, None, None, None])
-    real = SurfaceFaces([dark], 4, options, seed=0).batch(0)
+    real = NormalLabelFaces([dark], 4, options, seed=0).batch(0)
     strength = real.faces.light.square().mean(1)
     assert strength.max() > 1e4 * strength.min()
-    trust = light_trust(real.faces.light, real)
+    trust = light_confidence(real.faces.light, real)
     torch.testing.assert_close(trust, 1 / strength.clamp_min(1))
     told = real._replace(free_scale=torch.zeros(4, dtype=torch.bool))
-    assert torch.equal(light_trust(real.faces.light, told), told.light_trust)
+    assert torch.equal(light_confidence(real.faces.light, told), told.light_trust)
     answer = NetworkOutput(real.faces.normal, real.faces.albedo, 0.9 * real.faces.light)
     labelled = real.faces._replace(light=answer.light)
     both = NetworkOutput(*(torch.cat([part, part]) for part in answer))
@@ -44,9 +44,9 @@ def test_photographs_and_captures_are_learnt_from_together(
 ) -> None:
     labels = write_labels(tmp_path / "labels", size=SIZE)
     recipe = replace(
-        RECIPE, real=RealOptions(share=0.25), surfaces=replace(RECIPE.surfaces, share=0.25), steps=2
+        RECIPE, real=PseudoLabelOptions(share=0.25), surfaces=replace(RECIPE.surfaces, share=0.25), steps=2
     )
-    part = real_part(recipe, labels, surfaces, None)
+    part = configure_sources(recipe, labels, surfaces, None)
     assert part.counts == (1, 1)
     real = part.open(torch.device("cpu"))
     photograph, capture = (source.open(torch.device("cpu")) for source in part.sources)
@@ -62,6 +62,8 @@ def test_photographs_and_captures_are_learnt_from_together(
     assert real.fingerprint not in (photograph.fingerprint, capture.fingerprint)
     run = train(recipe, spheres, tmp_path / "run", labels=labels, surfaces=surfaces, progress=False)
     assert {"real_normal", "real_light"} <= set(run.final)
-    small = RealFaces(load_pseudo_labels(write_labels(tmp_path / "small", size=8)), 1, RealOptions(), 0)
+    small = RealFaces(
+        load_pseudo_labels(write_labels(tmp_path / "small", size=8)), 1, PseudoLabelOptions(), 0
+    )
     with pytest.raises(InputError, match=r"images of \[\(8, 8\), \(16, 16\)\] pixels found"):
-        RealTogether([small, capture])
+        ConcatSource([small, capture])

@@ -12,7 +12,7 @@ from sfsnet_dr.data.transforms.background import Augmentation
 from sfsnet_dr.data.transforms.camera import PhotoOptions
 from sfsnet_dr.scene.lights.spec import LightSpec
 from sfsnet_dr.train.config import ComputeRecipe, ModelRecipe, OptimiserRecipe, Precision, Recipe
-from sfsnet_dr.train.step import NotFinite, training_step
+from sfsnet_dr.train.step import NonFiniteError, training_step
 
 SMALL = ModelRecipe(stem=8, features=16, blocks=1)
 
@@ -62,7 +62,7 @@ def test_a_batch_that_is_not_finite_changes_nothing(batch: FaceBatch, field: str
     before = state(model, adam)
     spoilt = getattr(batch, field).clone()
     spoilt[1, 2, 8, 8] = float("nan")
-    with pytest.raises(NotFinite, match="total"):
+    with pytest.raises(NonFiniteError, match="total"):
         training_step(model, adam, batch._replace(**{field: spoilt}), recipe(), 1e-2)
     after = state(model, adam)
     assert len(before) == len(after)

@@ -7,7 +7,7 @@ import torch
 
 from sfsnet_dr.data.batch import FaceBatch
 from sfsnet_dr.models.base import NetworkOutput
-from sfsnet_dr.train.step import SMALLEST, STEPS, Watch, spread_ratios
+from sfsnet_dr.train.step import SMALLEST, STEPS, CollapseMonitor, spread_ratios
 
 
 def faces() -> FaceBatch:
@@ -36,7 +36,7 @@ def test_ratios_are_those_of_the_variation_on_the_face() -> None:
 
 
 def test_a_collapse_is_told_once() -> None:
-    watch = Watch()
+    watch = CollapseMonitor()
     told = [watch.see({"normal": 0.8, "albedo": 0.02}) for _ in range(2 * STEPS)]
     assert [step for step, text in enumerate(told) if text] == [STEPS - 1]
     assert told[STEPS - 1].startswith("albedo has collapsed")
@@ -44,7 +44,7 @@ def test_a_collapse_is_told_once() -> None:
 
 
 def test_a_late_collapse_is_told_within_a_few_spans() -> None:
-    watch = Watch()
+    watch = CollapseMonitor()
     for _ in range(10 * STEPS):
         assert not watch.see({"normal": 0.9, "albedo": 0.7})
     # (1 - 1 / STEPS)^n falls below SMALLEST / .9 after 1.8 spans.
@@ -54,6 +54,6 @@ def test_a_late_collapse_is_told_within_a_few_spans() -> None:
 
 
 def test_single_bad_steps_are_no_collapse() -> None:
-    watch = Watch()
+    watch = CollapseMonitor()
     ratios = [SMALLEST / 2 if step % 10 == 0 else 0.6 for step in range(4 * STEPS)]
     assert not any(watch.see({"normal": ratio, "albedo": ratio}) for ratio in ratios)

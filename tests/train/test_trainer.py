@@ -22,11 +22,11 @@ from sfsnet_dr.core.image_io import read_image
 from sfsnet_dr.data.transforms.background import Augmentation
 from sfsnet_dr.models.weights import load_weights, read_metadata
 from sfsnet_dr.scene.lights.spec import LightSpec
-from sfsnet_dr.train.checkpoint import previous
+from sfsnet_dr.train.checkpoint import previous_path
 from sfsnet_dr.train.config import ComputeRecipe, ModelRecipe, Recipe
 from sfsnet_dr.train.logging import read_history
 from sfsnet_dr.train.run import CHECKPOINT, HISTORY, WEIGHTS
-from sfsnet_dr.train.step import NotFinite, training_step
+from sfsnet_dr.train.step import NonFiniteError, training_step
 from sfsnet_dr.train.trainer import train
 
 RECIPE = Recipe(
@@ -178,7 +178,7 @@ def test_runs_are_not_mixed(spheres: Path, whole: Path, tmp_path: Path) -> None:
 def test_a_step_that_is_not_finite_is_skipped_and_told(
     spheres: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    before_step(monkeypatch, 3, fail(NotFinite("recon not finite")))
+    before_step(monkeypatch, 3, fail(NonFiniteError("recon not finite")))
     result = train(RECIPE, spheres, tmp_path, progress=False)
     assert result.skipped == 1
     line = read_history(result.history)[3]
@@ -190,7 +190,9 @@ def test_a_step_that_is_not_finite_is_skipped_and_told(
 def test_too_many_such_steps_end_the_run(
     spheres: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sfsnet_dr.train.run.training_step", lambda *_: fail(NotFinite("total not finite"))())
+    monkeypatch.setattr(
+        "sfsnet_dr.train.run.training_step", lambda *_: fail(NonFiniteError("total not finite"))()
+    )
     with pytest.raises(RunError, match=r"3 steps were not finite \(2 allowed\); the last, 2, had total"):
         train(replace(RECIPE, most_skipped=2), spheres, tmp_path, progress=False)
 
@@ -209,12 +211,12 @@ def test_a_damaged_checkpoint_is_replaced_by_the_one_before(
 ) -> None:
     train(RECIPE, spheres, tmp_path, progress=False)
     last = tmp_path / CHECKPOINT
-    assert previous(last).is_file()
+    assert previous_path(last).is_file()
     last.write_bytes(last.read_bytes()[:1000])
     train(RECIPE, spheres, tmp_path, resume=True, progress=False)  # from step 8 again
     assert same_run(whole, tmp_path)
     assert "going on from checkpoint.previous.safetensors" in " ".join(capsys.readouterr().err.split())
-    for path in (last, previous(last)):
+    for path in (last, previous_path(last)):
         path.write_bytes(b"nothing")
     with pytest.raises(InputError, match="not a checkpoint"):
         train(RECIPE, spheres, tmp_path, resume=True, progress=False)

@@ -16,13 +16,13 @@ from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.core.image_io import read_image, read_samples
 from sfsnet_dr.data.alignment import (
     Eyes,
+    canonical_coverage,
     canonical_landmarks,
     face_ellipse_mask,
-    inside,
-    resampled,
+    resample_to_canonical,
     skin_mask,
 )
-from sfsnet_dr.data.photos import Skipped
+from sfsnet_dr.data.photos import SkippedPhotos
 
 Array = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]
@@ -76,7 +76,7 @@ class Listing:
     database: str
     folder: Path
     photos: tuple[FacePhoto, ...]
-    skipped: tuple[Skipped, ...]
+    skipped: tuple[SkippedPhotos, ...]
     linear: bool = False
     lamps_by: str = ""
 
@@ -142,8 +142,8 @@ def read_face(photo: FacePhoto, linear: bool) -> CanonicalFace:
     if pixels.shape[:2] == (FACE_SIZE, FACE_SIZE) and photo.eyes == CANONICAL_EYES:
         image, seen = pixels, np.ones((FACE_SIZE, FACE_SIZE), np.float32)
     else:
-        image = resampled(pixels, photo.eyes)
-        seen = inside(pixels.shape[0], pixels.shape[1], photo.eyes)
+        image = resample_to_canonical(pixels, photo.eyes)
+        seen = canonical_coverage(pixels.shape[0], pixels.shape[1], photo.eyes)
     mask = skin * seen
     if not (mask > 0.5).any():
         raise InputError(
@@ -179,6 +179,6 @@ def need_folder(folder: Path | str) -> Path:
     return folder
 
 
-def in_order(photos: Iterable[FacePhoto]) -> tuple[FacePhoto, ...]:
+def sort_photos(photos: Iterable[FacePhoto]) -> tuple[FacePhoto, ...]:
     """Photographs by name."""
     return tuple(sorted(photos, key=lambda photo: photo.name))

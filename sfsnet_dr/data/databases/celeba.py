@@ -12,8 +12,8 @@ from typing import Final
 
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.data.alignment import Eyes
-from sfsnet_dr.data.databases.base import FacePhoto, Listing, in_order, need_folder
-from sfsnet_dr.data.photos import Skipped
+from sfsnet_dr.data.databases.base import FacePhoto, Listing, need_folder, sort_photos
+from sfsnet_dr.data.photos import SkippedPhotos
 
 NAME: Final = "celeba"
 
@@ -40,7 +40,7 @@ def list_celeba(folder: Path | str) -> Listing:
             if name not in rows
         ]
         if missing:
-            skipped.append(Skipped(name, f"not in the list of its {missing[0]}"))
+            skipped.append(SkippedPhotos(name, f"not in the list of its {missing[0]}"))
             continue
         subject = identity[name][0]
         photos.append(
@@ -48,7 +48,7 @@ def list_celeba(folder: Path | str) -> Listing:
                 name, path, subject, name, _eyes(landmarks[name]), part=PARTS.get(partition[name][0], "")
             )
         )
-    return Listing(NAME, folder, in_order(photos), tuple(skipped))
+    return Listing(NAME, folder, sort_photos(photos), tuple(skipped))
 
 
 def _find(folder: Path, name: str) -> Path:

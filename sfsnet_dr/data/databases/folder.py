@@ -13,8 +13,8 @@ from sfsnet_dr.core.conventions import FACE_SIZE
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.core.image_io import read_image
 from sfsnet_dr.data.alignment import Eyes, eye_centres, read_eyes, side_file
-from sfsnet_dr.data.databases.base import CANONICAL_EYES, FacePhoto, Listing, in_order, need_folder
-from sfsnet_dr.data.photos import PICTURES, Skipped, list_photos
+from sfsnet_dr.data.databases.base import CANONICAL_EYES, FacePhoto, Listing, need_folder, sort_photos
+from sfsnet_dr.data.photos import PICTURES, SkippedPhotos, list_photos
 
 NAME: Final = "folder"
 
@@ -31,14 +31,14 @@ def list_folder(folder: Path | str) -> Listing:
         photos = [
             FacePhoto(p.name, p.path, p.name, p.name, eye_centres(p.points), points=p.points) for p in listed
         ]
-        return Listing(NAME, folder, in_order(photos), tuple(skipped))
+        return Listing(NAME, folder, sort_photos(photos), tuple(skipped))
     photos, skipped = [], []
     for path in sorted(path for path in folder.iterdir() if path.suffix.lower() in PICTURES):
         try:
             photos.append(FacePhoto(path.name, path, path.name, path.name, _eyes(path)))
         except InputError as error:
-            skipped.append(Skipped(path.name, str(error)))
-    return Listing(NAME, folder, in_order(photos), tuple(skipped))
+            skipped.append(SkippedPhotos(path.name, str(error)))
+    return Listing(NAME, folder, sort_photos(photos), tuple(skipped))
 
 
 def _has_landmarks(folder: Path) -> bool:

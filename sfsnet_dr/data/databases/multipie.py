@@ -16,8 +16,8 @@ from typing import Final
 
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.data.alignment import eye_centres
-from sfsnet_dr.data.databases.base import FacePhoto, Listing, in_order, need_folder
-from sfsnet_dr.data.photos import Skipped, read_landmarks
+from sfsnet_dr.data.databases.base import FacePhoto, Listing, need_folder, sort_photos
+from sfsnet_dr.data.photos import SkippedPhotos, read_landmarks
 
 NAME: Final = "multipie"
 FRONTAL: Final = "051"
@@ -57,5 +57,5 @@ def list_multipie(folder: Path | str, camera: str = FRONTAL) -> Listing:
                 )
             )  # fmt: skip
         except InputError as error:
-            skipped.append(Skipped(name, str(error)))
-    return Listing(NAME, folder, in_order(photos), tuple(skipped))
+            skipped.append(SkippedPhotos(name, str(error)))
+    return Listing(NAME, folder, sort_photos(photos), tuple(skipped))

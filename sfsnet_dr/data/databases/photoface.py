@@ -22,8 +22,8 @@ import numpy as np
 
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.data.alignment import Eyes
-from sfsnet_dr.data.databases.base import FacePhoto, Listing, in_order, need_folder
-from sfsnet_dr.data.photos import Skipped
+from sfsnet_dr.data.databases.base import FacePhoto, Listing, need_folder, sort_photos
+from sfsnet_dr.data.photos import SkippedPhotos
 
 NAME: Final = "photoface"
 
@@ -46,8 +46,8 @@ def list_photoface(folder: Path | str) -> Listing:
         try:
             photos += _capture(folder, capture)
         except InputError as error:
-            skipped.append(Skipped(name, str(error)))
-    return Listing(NAME, folder, in_order(photos), tuple(skipped), linear=True)
+            skipped.append(SkippedPhotos(name, str(error)))
+    return Listing(NAME, folder, sort_photos(photos), tuple(skipped), linear=True)
 
 
 def _capture(folder: Path, capture: Path) -> list[FacePhoto]:

@@ -14,7 +14,7 @@ from sfsnet_dr.data.databases import folder as image_folder
 from sfsnet_dr.data.databases.base import Listing, read_face
 from sfsnet_dr.data.manifest import NAME as MANIFEST
 from sfsnet_dr.data.normal_labels import INDEX
-from sfsnet_dr.data.photos import Skipped
+from sfsnet_dr.data.photos import SkippedPhotos
 
 DATABASES: Final[dict[str, Callable[[Path | str], Listing]]] = {
     yale_b.NAME: yale_b.list_yale_b,
@@ -50,7 +50,7 @@ def open_database(name: str, folder: Path | str) -> Listing:
     return DATABASES[name](folder)
 
 
-def recognise(folder: Path | str) -> str | None:
+def recognise_database(folder: Path | str) -> str | None:
     """Which database a folder looks like; ``synthetic`` for rendered faces, ``labels`` for labelled ones.
 
     None for anything else, such as pictures without landmarks.
@@ -64,7 +64,7 @@ def recognise(folder: Path | str) -> str | None:
 
 
 @dataclass(frozen=True)
-class Checked:
+class DatabaseCounts:
     """What a folder holds.
 
     Attributes:
@@ -74,13 +74,13 @@ class Checked:
     """
 
     counts: dict[str, int]
-    skipped: tuple[Skipped, ...]
+    skipped: tuple[SkippedPhotos, ...]
     few_lights: tuple[str, ...]
 
 
 def check_database(
     name: str, folder: Path | str, decode: int = 200, on_photo: Callable[[], object] = lambda: None
-) -> Checked:
+) -> DatabaseCounts:
     """List a database and decode some of its photographs, spread evenly.
 
     Args:
@@ -100,7 +100,7 @@ def check_database(
         try:
             read_face(photo, listing.linear)
         except InputError as error:
-            broken.append(Skipped(photo.name, str(error)))
+            broken.append(SkippedPhotos(photo.name, str(error)))
         on_photo()
     known = {n: [p for p in photos if p.direction is not None] for n, photos in listing.captures().items()}
     few = tuple(n for n, photos in known.items() if 0 < len(photos) < FEWEST_LIGHTS)
@@ -115,4 +115,4 @@ def check_database(
         "captures_with_few_lights": len(few),
     }
     parts = Counter(photo.part for photo in listing.photos if photo.part)
-    return Checked(counts | {f"part_{part}": parts[part] for part in sorted(parts)}, skipped, few)
+    return DatabaseCounts(counts | {f"part_{part}": parts[part] for part in sorted(parts)}, skipped, few)

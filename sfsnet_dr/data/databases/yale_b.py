@@ -18,8 +18,8 @@ from typing import Final
 
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.data.alignment import Eyes, read_eyes, side_file
-from sfsnet_dr.data.databases.base import FacePhoto, Listing, heading, in_order, need_folder
-from sfsnet_dr.data.photos import Skipped
+from sfsnet_dr.data.databases.base import FacePhoto, Listing, heading, need_folder, sort_photos
+from sfsnet_dr.data.photos import SkippedPhotos
 
 NAME: Final = "yale-b"
 
@@ -65,8 +65,8 @@ def list_yale_b(folder: Path | str) -> Listing:
                     raise InputError(reason)
                 photos.append(_photo(name, path))
             except InputError as error:
-                skipped.append(Skipped(name, str(error)))
-    return Listing(NAME, folder, in_order(photos), tuple(skipped), linear=True)
+                skipped.append(SkippedPhotos(name, str(error)))
+    return Listing(NAME, folder, sort_photos(photos), tuple(skipped), linear=True)
 
 
 def _unusable(path: Path) -> str | None:

@@ -16,12 +16,12 @@ from torch import Tensor
 from torch.nn import functional
 
 from sfsnet_dr.core.color import LUMINANCE
-from sfsnet_dr.core.config import added
+from sfsnet_dr.core.config import added_field
 from sfsnet_dr.core.conventions import FACE_SIZE
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.data.transforms.camera import PhotoOptions
-from sfsnet_dr.data.transforms.crop import View
-from sfsnet_dr.scene.lights.equirect import lookup
+from sfsnet_dr.data.transforms.crop import Crop
+from sfsnet_dr.scene.lights.equirect import sample_map
 from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.lights.spec import LightSpec
 
@@ -42,7 +42,7 @@ def sample_surroundings(rng: np.random.Generator, light: Light, distance: float,
     """
     kind = rng.choice(["place", "wall", "things"], p=[0.4, 0.25, 0.35])
     if kind == "place" and light.environment is not None:
-        return behind(light.environment, distance, size)
+        return sample_background(light.environment, distance, size)
     lit = light.face_shading() * np.exp(rng.uniform(np.log(0.1), 0.0))
     wall = _muted(rng)
     if kind == "things":
@@ -53,12 +53,12 @@ def sample_surroundings(rng: np.random.Generator, light: Light, distance: float,
     return np.asarray(shade[..., None] * wall * lit)
 
 
-def behind(environment: Array, distance: float, size: int) -> Array:
+def sample_background(environment: Array, distance: float, size: int) -> Array:
     """The part of an environment map (H, W, 3) that a camera sees behind the face: (size, size, 3)."""
     across = (2 * np.arange(size) + 1) / size - 1
     x, y = np.meshgrid(across, -across)
     rays = np.stack([x, y, np.full_like(x, -distance)], axis=-1)
-    return lookup(environment, rays / np.linalg.norm(rays, axis=-1, keepdims=True))
+    return sample_map(environment, rays / np.linalg.norm(rays, axis=-1, keepdims=True))
 
 
 def _patches(rng: np.random.Generator, mean: Array, size: int) -> Array:
@@ -106,7 +106,7 @@ class Augmentation:
     """
 
     size: int | None = None
-    crop: int = added(FACE_SIZE)
+    crop: int = added_field(FACE_SIZE)
     held_back: int = 0
     flip: float = 0.5
     lights: int = 4096
@@ -127,12 +127,12 @@ class Augmentation:
             raise InputError(f"crop: {self.crop} found without size; say how many pixels are to show it")
 
     @property
-    def view(self) -> View | None:
+    def view(self) -> Crop | None:
         """What of a bundle the images show; None for all of it as it is."""
-        return None if self.size is None else View(self.size, self.crop)
+        return None if self.size is None else Crop(self.size, self.crop)
 
 
-def backgrounds(
+def render_backgrounds(
     rng: np.random.Generator, lit: Array, place: Array, size: tuple[int, int], device: torch.device | str
 ) -> Tensor:
     """Linear backgrounds (B, 3, H, W), at least 0: a wall, blurred things, or the place that lights the face.

@@ -24,9 +24,9 @@ from torch.nn import functional
 
 from sfsnet_dr.core.color import LUMINANCE
 from sfsnet_dr.core.color_torch import linear_to_srgb, srgb_to_linear
-from sfsnet_dr.core.config import added
+from sfsnet_dr.core.config import added_field
 from sfsnet_dr.core.errors import InputError, check_shape
-from sfsnet_dr.data.transforms.jpeg import compress
+from sfsnet_dr.data.transforms.jpeg import simulate_jpeg
 
 #: Share of white's signal that is added to the signal before shot noise is drawn: the read noise.
 READ_NOISE: Final = 0.02
@@ -65,7 +65,7 @@ class PhotoOptions:
     jpeg: float = 0.5
     quality: tuple[int, int] = (50, 98)
     grey: float = 0.1
-    cropped: float = added(0.0)
+    cropped: float = added_field(0.0)
 
     def __post_init__(self) -> None:
         for name in ("exposure", "white_balance", "blur", "noise"):
@@ -135,7 +135,9 @@ def _sample_frame(rng: np.random.Generator, share: float) -> tuple[float, float,
     return (left, top, 1 - right, 1 - bottom) if chosen else None
 
 
-def photograph(images: Tensor, coverage: Tensor, behind: Tensor, effects: Sequence[PhotoEffects]) -> Tensor:
+def simulate_photograph(
+    images: Tensor, coverage: Tensor, behind: Tensor, effects: Sequence[PhotoEffects]
+) -> Tensor:
     """Take photographs.
 
     Args:
@@ -167,11 +169,11 @@ def photograph(images: Tensor, coverage: Tensor, behind: Tensor, effects: Sequen
     filed = _chosen(developed, [effect.quality is not None for effect in effects])
     if len(filed):
         qualities = [effect.quality for effect in effects if effect.quality is not None]
-        developed[filed] = srgb_to_linear(compress(linear_to_srgb(developed[filed]), qualities))
+        developed[filed] = srgb_to_linear(simulate_jpeg(linear_to_srgb(developed[filed]), qualities))
     return developed
 
 
-def frames(effects: Sequence[PhotoEffects], height: int, width: int) -> Tensor:
+def frame_masks(effects: Sequence[PhotoEffects], height: int, width: int) -> Tensor:
     """1 where photographs have pixels and 0 beyond their borders, (B, 1, H, W)."""
     inside = torch.ones(len(effects), 1, height, width)
     for k, effect in enumerate(effects):

@@ -16,7 +16,7 @@ from sfsnet_dr.core.conventions import FACE_SIZE
 from sfsnet_dr.core.errors import InputError
 
 
-class View(NamedTuple):
+class Crop(NamedTuple):
     """A square of ``crop`` of the frame's 128 pixels, shown with ``size`` pixels.
 
     Attributes:
@@ -27,7 +27,7 @@ class View(NamedTuple):
     size: int = FACE_SIZE
     crop: int = FACE_SIZE
 
-    def shown(self, planes: Tensor) -> Tensor:
+    def apply(self, planes: Tensor) -> Tensor:
         """Planes of the whole frame (..., N, N), any N, as this view shows them, (..., size, size).
 
         Each pixel is the mean over the square that it covers: what a sensor of fewer pixels sees. Unit
@@ -45,14 +45,14 @@ class View(NamedTuple):
             )
         return _both_axes(_means(self, width).to(planes), planes)
 
-    def spread(self, planes: Tensor, pixels: int) -> Tensor:
+    def invert(self, planes: Tensor, pixels: int) -> Tensor:
         """An answer (..., size, size) interpolated onto the whole frame (..., N, N) of N = ``pixels``.
 
-        Beyond the view the nearest answer stands; ``covered`` tells where that is.
+        Beyond the view the nearest answer stands; ``coverage`` tells where that is.
         """
         return _both_axes(_interpolation(self, pixels).to(planes), planes)
 
-    def covered(self, pixels: int) -> Tensor:
+    def coverage(self, pixels: int) -> Tensor:
         """Share of each of N x N pixels of the frame that is shown, (N, N) float32 in [0, 1]."""
         edges = torch.arange(pixels + 1, dtype=torch.float64).clamp(*self._sides(pixels))
         share = edges.diff().float()
@@ -69,7 +69,7 @@ class View(NamedTuple):
 
 
 #: All of the frame with all of its pixels.
-WHOLE: Final = View()
+WHOLE: Final = Crop()
 
 
 def _both_axes(matrix: Tensor, planes: Tensor) -> Tensor:
@@ -77,7 +77,7 @@ def _both_axes(matrix: Tensor, planes: Tensor) -> Tensor:
 
 
 @cache
-def _means(view: View, pixels: int) -> Tensor:
+def _means(view: Crop, pixels: int) -> Tensor:
     """(size, pixels): share of each pixel of the frame in each of the view's; rows sum to 1."""
     begin, step = view._sides(pixels)[0], view._step(pixels)
     edges = begin + step * torch.arange(view.size + 1, dtype=torch.float64)
@@ -87,7 +87,7 @@ def _means(view: View, pixels: int) -> Tensor:
 
 
 @cache
-def _interpolation(view: View, pixels: int) -> Tensor:
+def _interpolation(view: Crop, pixels: int) -> Tensor:
     """(pixels, size): linear weights of the view's pixels at the centres of the frame's."""
     begin, step = view._sides(pixels)[0], view._step(pixels)
     centres = torch.arange(pixels, dtype=torch.float64) + 0.5

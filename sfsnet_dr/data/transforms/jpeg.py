@@ -34,7 +34,7 @@ _TO_YCC = torch.tensor(
 )
 
 
-def compress(encoded: Tensor, quality: int | Sequence[int]) -> Tensor:
+def simulate_jpeg(encoded: Tensor, quality: int | Sequence[int]) -> Tensor:
     """Pictures after a JPEG file.
 
     Args:

@@ -9,13 +9,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
-from sfsnet_dr.core.config import changed, load_toml
+from sfsnet_dr.core.config import load_toml, with_changes
 from sfsnet_dr.core.conventions import FACE_SIZE
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.data.mixed_batch import RealOptions
-from sfsnet_dr.report.record import dotted
+from sfsnet_dr.data.mixed_batch import PseudoLabelOptions
+from sfsnet_dr.report.record import dotted_word
 from sfsnet_dr.scene.spec import SceneSpec, check_scene, load_scene, refuse_light
-from sfsnet_dr.train.config import Recipe, lit_by, read_recipe
+from sfsnet_dr.train.config import Recipe, read_recipe, with_environments
 
 #: First seed of the faces that networks are measured on, beyond any that one is trained on.
 HELD_SEED: Final = 1_000_000
@@ -91,7 +91,7 @@ class AblationsSpec:
             raise InputError(f"seeds: {list(self.seeds)} found, different numbers of at least 0 are needed")
         names = [variant.name for variant in self.variants]
         for name in names:
-            if names.count(name) > 1 or dotted(name) != name.replace("-", "_"):
+            if names.count(name) > 1 or dotted_word(name) != name.replace("-", "_"):
                 raise InputError(
                     f"variants: name {name!r} found, different words of a-z, 0-9 and dashes are needed"
                 )
@@ -122,7 +122,7 @@ class Case:
 
         What a photograph's numbers are (``real.values``) does not where no photographs are learnt from.
         """
-        recipe = self.recipe if self.recipe.real.share else replace(self.recipe, real=RealOptions())
+        recipe = self.recipe if self.recipe.real.share else replace(self.recipe, real=PseudoLabelOptions())
         return recipe, self.scene, self.variant.visibility
 
 
@@ -207,7 +207,7 @@ def read_ablations(
         spec = load_toml(AblationsSpec, path)
     except InputError as error:
         raise InputError(f"{error}" if str(error).startswith(str(path)) else f"{path}: {error}") from error
-    recipe = lit_by(read_recipe(path.parent / spec.recipe), environments)
+    recipe = with_environments(read_recipe(path.parent / spec.recipe), environments)
     file = path.parent / spec.scene
     scene = refuse_light(load_scene(file), file, _RECIPE_LIGHTS)
     cases, left_out = [], {}
@@ -224,11 +224,11 @@ def read_ablations(
 
 
 def _case(where: str, variant: Variant, recipe: Recipe, scene: SceneSpec, model_path: Path | None) -> Case:
-    own_recipe = changed(recipe, variant.recipe, f"{where}: recipe")
-    own_scene = changed(scene, variant.scene, f"{where}: scene")
+    own_recipe = with_changes(recipe, variant.recipe, f"{where}: recipe")
+    own_scene = with_changes(scene, variant.scene, f"{where}: scene")
     if own_scene.shape != "anny" and model_path is not None:
         own_scene = replace(own_scene, model_path=str(model_path))
-    price = changed(own_scene, variant.price, f"{where}: price") if variant.price else None
+    price = with_changes(own_scene, variant.price, f"{where}: price") if variant.price else None
     for part in (own_scene, price or own_scene):
         check_scene(refuse_light(part, where, _RECIPE_LIGHTS), where)
     _check_alike(where, own_recipe, recipe, own_scene)

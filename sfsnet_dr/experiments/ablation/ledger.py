@@ -11,7 +11,7 @@ from pathlib import Path
 from sfsnet_dr.experiments.ablation.config import Plan
 
 
-class Ledger:
+class CostLedger:
     """Processor seconds of this process, all threads together, by the name of the work.
 
     Time of a process that was killed before it could note it is lost.
@@ -54,16 +54,16 @@ class Ledger:
         return [float(line["seconds"]) for line in lines if line["what"] == what]
 
 
-def rendering(plan: Plan, folder: Path) -> str:
+def rendering_entry(plan: Plan, folder: Path) -> str:
     """How the ledger calls the rendering of faces."""
     return f"rendering {folder.relative_to(plan.folder).as_posix()}"
 
 
-def training(name: str, seed: int) -> str:
+def training_entry(name: str, seed: int) -> str:
     """How the ledger calls a training."""
     return f"training {name}-{seed}"
 
 
-def labelling(name: str, seed: int) -> str:
+def labelling_entry(name: str, seed: int) -> str:
     """How the ledger calls the labelling of photographs."""
     return f"labelling {name}-{seed}"

@@ -17,15 +17,15 @@ from sfsnet_dr.core.color_torch import linear_to_srgb
 from sfsnet_dr.data.batch import FaceBatch
 from sfsnet_dr.data.dataset import load_faces
 from sfsnet_dr.experiments.ablation.config import Case, Plan
-from sfsnet_dr.experiments.evaluation.collect import Amount, collect
-from sfsnet_dr.experiments.evaluation.measure import measure
+from sfsnet_dr.experiments.evaluation.collect import Amount, collect_samples
+from sfsnet_dr.experiments.evaluation.measure import measure_methods
 from sfsnet_dr.experiments.evaluation.records import by_subject
 from sfsnet_dr.experiments.evaluation.samples import Collection
-from sfsnet_dr.experiments.pipeline.holdout_split import held_pictures, on_rendered
+from sfsnet_dr.experiments.pipeline.holdout_split import holdout_faces, rendered_errors
 from sfsnet_dr.inference.methods import NetworkMethod
-from sfsnet_dr.metrics.bootstrap import interval
+from sfsnet_dr.metrics.bootstrap import bootstrap_interval
 from sfsnet_dr.models.inference import LoadedModel
-from sfsnet_dr.report.console import bar
+from sfsnet_dr.report.console import progress_bar
 from sfsnet_dr.train.logging import read_history
 from sfsnet_dr.train.run import HISTORY, WEIGHTS
 
@@ -79,10 +79,10 @@ class Measurements:
 def measure_all(plan: Plan) -> Measurements:
     """Put the held-back faces, and the photographs if there are any, to every network."""
     truth, shown = _held(plan)
-    collection = None if plan.surfaces is None else collect("labels", [plan.surfaces], Amount())
+    collection = None if plan.surfaces is None else collect_samples("labels", [plan.surfaces], Amount())
     kinds = [SYNTHETIC] if collection is None else [SYNTHETIC, MEASURED]
     sums: dict[str, dict[str, list[Array]]] = {kind: {} for kind in kinds}
-    with bar("measuring networks", len(plan.cases) * len(plan.spec.seeds)) as advance:
+    with progress_bar("measuring networks", len(plan.cases) * len(plan.spec.seeds)) as advance:
         for case in plan.cases:
             for seed in plan.spec.seeds:
                 path = plan.network_folder(plan.network(case), seed) / WEIGHTS
@@ -93,7 +93,7 @@ def measure_all(plan: Plan) -> Measurements:
                     sums[MEASURED].setdefault(case.name, []).append(_on_photographs(method, collection))
                 advance()
     found = {
-        kind: {name: compare(each, of[plan.base.name]) for name, each in of.items()}
+        kind: {name: compare_variants(each, of[plan.base.name]) for name, each in of.items()}
         for kind, of in sums.items()
     }
     counts = {SYNTHETIC: (len(shown), len(set(shown)))}
@@ -103,7 +103,7 @@ def measure_all(plan: Plan) -> Measurements:
     return Measurements(found, counts, losses)
 
 
-def compare(own: Sequence[Array], first: Sequence[Array]) -> Comparison:
+def compare_variants(own: Sequence[Array], first: Sequence[Array]) -> Comparison:
     """Numbers of a variant whose sums are compared with those of the first.
 
     Args:
@@ -116,10 +116,10 @@ def compare(own: Sequence[Array], first: Sequence[Array]) -> Comparison:
     each = tuple(mean - _mean(other) for mean, other in zip(means, first, strict=True))
     return Comparison(
         mean=_mean(rows),
-        mean_ends=interval(rows, _mean),
+        mean_ends=bootstrap_interval(rows, _mean),
         below20=float(100 * rows[:, 2].sum() / rows[:, 0].sum()),
         difference=_difference(pairs),
-        difference_ends=interval(pairs, _difference),
+        difference_ends=bootstrap_interval(pairs, _difference),
         each=each,
         std=_std(means),
         difference_std=_std(each),
@@ -151,7 +151,7 @@ def _losses(plan: Plan, name: str, seed: int) -> Array:
 def _held(plan: Plan) -> tuple[FaceBatch, list[int]]:
     """Pictures of the held-back faces, and which face each shows."""
     data = plan.base.recipe.data
-    pictures = held_pictures(load_faces(plan.held, data.view), data, plan.spec.pictures)
+    pictures = holdout_faces(load_faces(plan.held, data.view), data, plan.spec.pictures)
     return pictures.batch(0), pictures.indices(0)
 
 
@@ -159,7 +159,7 @@ def _on_rendered(trained: LoadedModel, truth: FaceBatch, shown: Sequence[int]) -
     """(P, 3) sums over the pictures of each face; a network of display-referred values sees them encoded."""
     if trained.values == "display":
         truth = truth._replace(image=linear_to_srgb(truth.image.clamp(0, 1)))
-    numbers = on_rendered(trained, truth)
+    numbers = rendered_errors(trained, truth)
     rows = np.stack(
         [np.ones(len(shown)), numbers["normals.mean_deg"], numbers["normals.below20"] / 100], axis=1
     )
@@ -170,7 +170,7 @@ def _on_rendered(trained: LoadedModel, truth: FaceBatch, shown: Sequence[int]) -
 
 def _on_photographs(method: NetworkMethod, collection: Collection) -> Array:
     """(P, 3) sums over the pixels of each subject."""
-    images = measure(method, collection.shots).images
+    images = measure_methods(method, collection.shots).images
     sums = [errors.normals.all for errors in images if errors.normals is not None]
     return by_subject(images, np.array(sums))[:, [0, 1, 3]]
 

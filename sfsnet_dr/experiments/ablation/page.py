@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Final
 
 from sfsnet_dr.experiments.ablation.config import Case, Plan
-from sfsnet_dr.experiments.ablation.ledger import Ledger
+from sfsnet_dr.experiments.ablation.ledger import CostLedger
 from sfsnet_dr.experiments.ablation.measure import MEASURED, SYNTHETIC, Comparison, Measurements, measure_all
-from sfsnet_dr.experiments.ablation.records import records_of
-from sfsnet_dr.experiments.pipeline.holdout_split import find
+from sfsnet_dr.experiments.ablation.records import ablation_records
+from sfsnet_dr.experiments.pipeline.holdout_split import find_record
 from sfsnet_dr.report.html import Block, Figure, Note, Section, Table, write_page
 from sfsnet_dr.report.plots import Difference, difference_plot
 from sfsnet_dr.report.record import Record, all_numbers, write_records
@@ -20,10 +20,10 @@ _LEAD = (
 _KINDS: Final = {SYNTHETIC: "rendered faces", MEASURED: "photographs"}
 
 
-def finish(plan: Plan, ledger: Ledger, command: str) -> list[Record]:
+def write_results(plan: Plan, ledger: CostLedger, command: str) -> list[Record]:
     """Measure all networks, and write ``records.json`` and ``index.html``."""
     found = measure_all(plan)
-    records = records_of(plan, found, ledger, command)
+    records = ablation_records(plan, found, ledger, command)
     write_records(plan.folder / "records.json", records)
     sections = [_summary(plan, found, records), _variants(plan), all_numbers(records, "people")]
     if found.losses:
@@ -95,7 +95,7 @@ def _chance(plan: Plan, found: Measurements) -> str:
 def _row(plan: Plan, case: Case, found: Measurements, records: list[Record]) -> list[str]:
     row = [case.name]
     for what, digits in (("seconds_per_face", 2), ("training_seconds", 0)):
-        record = find(records, f"ablations.{case.name}.{what}")
+        record = find_record(records, f"ablations.{case.name}.{what}")
         row.append("-" if record is None else f"{record.value:.{digits}f}")
     for of in found.found.values():
         numbers = of[case.name]

@@ -8,16 +8,16 @@ from functools import partial
 import numpy as np
 
 from sfsnet_dr.experiments.ablation.config import Case, Plan
-from sfsnet_dr.experiments.ablation.ledger import Ledger, labelling, rendering, training
+from sfsnet_dr.experiments.ablation.ledger import CostLedger, labelling_entry, rendering_entry, training_entry
 from sfsnet_dr.experiments.ablation.measure import Comparison, Measurements
-from sfsnet_dr.report.record import Record, measured
+from sfsnet_dr.report.record import Record, make_record
 
 _One = Callable[..., Record]
 
 
-def records_of(plan: Plan, found: Measurements, ledger: Ledger, command: str) -> list[Record]:
+def ablation_records(plan: Plan, found: Measurements, ledger: CostLedger, command: str) -> list[Record]:
     """Every number as ``ablations.<variant>....``; processor seconds count all threads."""
-    one = partial(measured, command=command)
+    one = partial(make_record, command=command)
     records = []
     for kind, (images, people) in found.counts.items():
         records.append(one(f"ablations.data.{kind}.images", images, "images"))
@@ -34,20 +34,22 @@ def records_of(plan: Plan, found: Measurements, ledger: Ledger, command: str) ->
     return records
 
 
-def _costs(one: _One, plan: Plan, case: Case, ledger: Ledger) -> list[Record]:
+def _costs(one: _One, plan: Plan, case: Case, ledger: CostLedger) -> list[Record]:
     """The median of rendering a face, which leaves out what compiles with the first; means of the rest."""
     seeds = plan.spec.seeds
-    rendered = ledger.seconds(rendering(plan, plan.priced(case)))
+    rendered = ledger.seconds(rendering_entry(plan, plan.priced(case)))
     own = plan.network(case) == case.name
     parts = {
         "seconds_per_face": float(np.median(rendered)) if rendered else 0.0,
-        "training_seconds": _mean_seconds(ledger, [training(case.name, s) for s in seeds]) if own else 0.0,
-        "labelling_seconds": _mean_seconds(ledger, [labelling(case.name, s) for s in seeds]),
+        "training_seconds": _mean_seconds(ledger, [training_entry(case.name, s) for s in seeds])
+        if own
+        else 0.0,
+        "labelling_seconds": _mean_seconds(ledger, [labelling_entry(case.name, s) for s in seeds]),
     }
     return [one(f"ablations.{case.name}.{name}", value, "s") for name, value in parts.items() if value]
 
 
-def _mean_seconds(ledger: Ledger, works: Sequence[str]) -> float:
+def _mean_seconds(ledger: CostLedger, works: Sequence[str]) -> float:
     return float(np.mean([sum(ledger.seconds(work)) for work in works]))
 
 

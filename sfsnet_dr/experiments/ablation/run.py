@@ -17,8 +17,8 @@ from sfsnet_dr.data.normal_labels import read_index
 from sfsnet_dr.data.photos import photo_folder
 from sfsnet_dr.data.unshadowed import remove_visibility
 from sfsnet_dr.experiments.ablation.config import HELD_SEED, Case, Plan
-from sfsnet_dr.experiments.ablation.ledger import Ledger, labelling, rendering, training
-from sfsnet_dr.experiments.ablation.page import finish
+from sfsnet_dr.experiments.ablation.ledger import CostLedger, labelling_entry, rendering_entry, training_entry
+from sfsnet_dr.experiments.ablation.page import write_results
 from sfsnet_dr.experiments.pipeline.cache import label_photographs, render_missing, train_once
 from sfsnet_dr.report.record import Record
 from sfsnet_dr.scene.spec import SceneSpec
@@ -48,7 +48,7 @@ def run_ablations(plan: Plan, *, command: str, console: Console | None = None) -
         read_index(plan.surfaces)
     if plan.photographs is not None:
         photo_folder(plan.photographs, held_back=0, most=plan.spec.photographs)
-    ledger = Ledger(plan.folder / "seconds.jsonl")
+    ledger = CostLedger(plan.folder / "seconds.jsonl")
 
     def rule(name: str, state: str) -> None:
         screen.rule(f"{name}: {state}", align="left")
@@ -59,10 +59,10 @@ def run_ablations(plan: Plan, *, command: str, console: Console | None = None) -
             for seed in plan.spec.seeds:
                 _train(plan, case, seed, ledger, rule)
     rule("measure", "held-back faces" if plan.surfaces is None else "held-back faces and photographs")
-    return finish(plan, ledger, command)
+    return write_results(plan, ledger, command)
 
 
-def _render_all(plan: Plan, ledger: Ledger, rule: Rule) -> None:
+def _render_all(plan: Plan, ledger: CostLedger, rule: Rule) -> None:
     spec = plan.spec
     _render(plan, plan.held, plan.base.scene, range(HELD_SEED, HELD_SEED + spec.held), ledger, rule)
     for case in plan.cases:
@@ -76,8 +76,8 @@ def _render_all(plan: Plan, ledger: Ledger, rule: Rule) -> None:
             _render(plan, plan.priced(case), case.price, range(spec.priced), ledger, rule)
 
 
-def _render(plan: Plan, folder: Path, scene: SceneSpec, seeds: range, ledger: Ledger, rule: Rule) -> None:
-    what = rendering(plan, folder)
+def _render(plan: Plan, folder: Path, scene: SceneSpec, seeds: range, ledger: CostLedger, rule: Rule) -> None:
+    what = rendering_entry(plan, folder)
     found = len(Manifest(folder).entries)
     if found > len(seeds):
         raise InputError(
@@ -92,17 +92,17 @@ def _render(plan: Plan, folder: Path, scene: SceneSpec, seeds: range, ledger: Le
         )
 
 
-def _train(plan: Plan, case: Case, seed: int, ledger: Ledger, rule: Rule) -> None:
+def _train(plan: Plan, case: Case, seed: int, ledger: CostLedger, rule: Rule) -> None:
     recipe = replace(case.recipe, seed=seed)
     labels: Path | None = None
     if recipe.real.share:
         assert plan.photographs is not None
         source = photo_folder(plan.photographs, held_back=0, most=plan.spec.photographs)
         labels = plan.folder / "labels" / f"{case.name}-{seed}"
-        rule(labelling(case.name, seed), f"{len(source.train)} photographs by {plan.base.name}")
+        rule(labelling_entry(case.name, seed), f"{len(source.train)} photographs by {plan.base.name}")
         weights = plan.network_folder(plan.base.name, seed) / WEIGHTS
-        with ledger.spent(labelling(case.name, seed)):
+        with ledger.spent(labelling_entry(case.name, seed)):
             label_photographs(source, weights, labels, recipe.real.values)
-    what, folder = training(case.name, seed), plan.network_folder(case.name, seed)
+    what, folder = training_entry(case.name, seed), plan.network_folder(case.name, seed)
     with ledger.spent(what):
         train_once(recipe, [plan.faces(case)], folder, partial(rule, what), labels=labels)

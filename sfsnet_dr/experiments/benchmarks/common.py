@@ -19,7 +19,7 @@ import torch
 
 from sfsnet_dr.render.aovs import covered_pixels
 from sfsnet_dr.render.drjit_interop import kernel_milliseconds
-from sfsnet_dr.scene.jit import dr, mi, upload
+from sfsnet_dr.scene.jit import dr, mi, upload_array
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene, camera_rays
 
 #: Calls in a row of one contender before the next has its turn, and for how many seconds at least; the
@@ -62,7 +62,7 @@ class Times:
         return scale * ratio, (scale * low, scale * high)
 
 
-def contest(contenders: Mapping[str, Callable[[], Any]], rounds: int) -> dict[str, Times]:
+def time_in_turns(contenders: Mapping[str, Callable[[], Any]], rounds: int) -> dict[str, Times]:
     """Time every contender in every round, after two calls that may compile.
 
     Args:
@@ -79,7 +79,7 @@ def contest(contenders: Mapping[str, Callable[[], Any]], rounds: int) -> dict[st
     return {name: Times(tuple(found)) for name, found in seconds.items()}
 
 
-def copier(traffic: int) -> Callable[[], Any]:
+def make_copy(traffic: int) -> Callable[[], Any]:
     """What copies as many bytes as make ``traffic`` bytes read and written."""
     source = torch.ones(max(traffic // 8, 1))
     target = torch.empty_like(source)
@@ -88,7 +88,7 @@ def copier(traffic: int) -> Callable[[], Any]:
 
 def bandwidth_copy() -> Callable[[], Any]:
     """What shows the copy bandwidth of the moment: ``COPY_BYTES`` read and as many written."""
-    return copier(2 * COPY_BYTES)
+    return make_copy(2 * COPY_BYTES)
 
 
 def bytes_a_second(copy: Times) -> float:
@@ -120,7 +120,7 @@ def _seconds(call: Callable[[], Any]) -> float:
 REPEATS: Final = 9
 
 
-def bound(call: Callable[[], Any], seconds: float, copy_seconds: float) -> str:
+def describe_bound(call: Callable[[], Any], seconds: float, copy_seconds: float) -> str:
     """One sentence on what keeps a call from being faster.
 
     Args:
@@ -152,7 +152,7 @@ def bare_ray_tests(scene: SurfaceScene, per_pixel: int, seed: int = 0, repeats: 
         seed: of the rays.
         repeats: the median of so many is taken.
     """
-    pixel = upload(mi.UInt32, covered_pixels(scene))
+    pixel = upload_array(mi.UInt32, covered_pixels(scene))
     ray = camera_rays(scene.camera, pixel, mi.Point2f(0.5, 0.5))
     hit = scene.mi_scene.ray_intersect(ray, mi.RayFlags.Minimal | mi.RayFlags.ShadingFrame, coherent=True)
     found = hit.is_valid()

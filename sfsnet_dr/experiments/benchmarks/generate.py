@@ -20,12 +20,17 @@ from sfsnet_dr.core.files import atomic_path, output_dir
 from sfsnet_dr.data.bundle import write_bundle
 from sfsnet_dr.data.generate import render_bundle, render_file
 from sfsnet_dr.experiments.benchmarks.common import bare_ray_tests, kernel_times
-from sfsnet_dr.experiments.benchmarks.naive_rendering import PlainRender, noise_of, plain_render, variances_of
+from sfsnet_dr.experiments.benchmarks.naive_rendering import (
+    NaiveRender,
+    measure_noise,
+    render_naively,
+    response_variances,
+)
 from sfsnet_dr.render.aovs import TransportMaps, TransportOptions, render_aovs
 from sfsnet_dr.render.sobol import SAMPLERS, Sampler
 from sfsnet_dr.report.html import Figure, KeyNumbers, Section, Table, write_page
 from sfsnet_dr.report.plots import noise_plot
-from sfsnet_dr.report.record import Record, measured, write_records
+from sfsnet_dr.report.record import Record, make_record, write_records
 from sfsnet_dr.scene.faces.face import Face, sample_face
 from sfsnet_dr.scene.lights.equirect import MAP_SIZE
 from sfsnet_dr.scene.lights.light import MAP_ORDER
@@ -126,7 +131,7 @@ def bench_synth(
         found |= part(bench)
         on_step()
     return [
-        measured(f"synth.{name}", value, unit, command=command, seed=seed)
+        make_record(f"synth.{name}", value, unit, command=command, seed=seed)
         for name, (value, unit) in found.items()
     ]
 
@@ -153,7 +158,7 @@ def _noise_against_time(bench: Bench) -> dict[str, tuple[float, str]]:
     for sampler in SAMPLERS:
         for samples in SAMPLE_COUNTS:
             captures, seconds = bench.captures(samples, sampler)
-            noise, key = noise_of(captures), f"{sampler}.{samples}"
+            noise, key = measure_noise(captures), f"{sampler}.{samples}"
             found[f"noise.transport.{key}"] = (noise.transport, "1")
             if bench.scene.gloss:
                 found[f"noise.gloss.{key}"] = (noise.gloss, "1")
@@ -172,7 +177,7 @@ def _against_plain(bench: Bench) -> dict[str, tuple[float, str]]:
     """
     sampling = bench.spec.sampling
     captures, seconds = bench.captures(sampling.transport)
-    ours, mask = variances_of(captures), captures[0].mask.astype(np.float64)
+    ours, mask = response_variances(captures), captures[0].mask.astype(np.float64)
     scene, load = _timed(lambda: _loaded(bench))
     _, exchange = _timed(lambda: bench.scene.set_mesh(bench.face.mesh))
     depth, paths = sampling.bounces + 2, sampling.transport * sampling.paths
@@ -195,10 +200,10 @@ def _against_plain(bench: Bench) -> dict[str, tuple[float, str]]:
         lit = SurfaceScene(
             bench.face.mesh, bench.scene.camera, [(direction, np.ones(3))], gloss=bench.scene.gloss
         )
-        run = plain_render(lit, mask, PLAIN_SAMPLES, depth)
+        run = render_naively(lit, mask, PLAIN_SAMPLES, depth)
         equal_noise += _seconds_for([run], run.variance / ours.directional)
         equal_paths += _seconds_for([run], sampling.transport)
-    noise = noise_of(captures).transport
+    noise = measure_noise(captures).transport
     return {
         "noise.transport.plain": (noise * float(np.sqrt(np.mean(needed_transport) / paths)), "1"),
         "seconds.capture": (seconds, "s"),
@@ -221,12 +226,12 @@ def _mirror(bench: Bench) -> SurfaceScene:
     return SurfaceScene(black, bench.scene.camera, gloss=True)
 
 
-def _plain(scene: SurfaceScene, light: Array, mask: Array, depth: int) -> PlainRender:
+def _plain(scene: SurfaceScene, light: Array, mask: Array, depth: int) -> NaiveRender:
     scene.set_environment(np.repeat(light[..., None], 3, axis=-1))
-    return plain_render(scene, mask, PLAIN_SAMPLES, depth)
+    return render_naively(scene, mask, PLAIN_SAMPLES, depth)
 
 
-def _seconds_for(runs: list[PlainRender], samples: float) -> float:
+def _seconds_for(runs: list[NaiveRender], samples: float) -> float:
     """Time for a number of samples in all, spread over the runs, by the time of one sample alone.
 
     What a render costs beside its samples is not counted: that favours the plain way.

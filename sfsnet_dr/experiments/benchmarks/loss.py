@@ -13,15 +13,15 @@ from sfsnet_dr.experiments.benchmarks.agreement import Result, require_agreement
 from sfsnet_dr.experiments.benchmarks.common import (
     Times,
     bandwidth_copy,
-    bound,
     bytes_a_second,
     compiler_missing,
-    contest,
-    copier,
+    describe_bound,
+    make_copy,
+    time_in_turns,
 )
-from sfsnet_dr.experiments.benchmarks.loss_variants import VARIANTS, check, run
+from sfsnet_dr.experiments.benchmarks.loss_variants import VARIANTS, check_variant, make_call
 from sfsnet_dr.losses.reconstruction import reconstruction_l1
-from sfsnet_dr.report.record import Record, measured
+from sfsnet_dr.report.record import Record, make_record
 
 #: Batch, height, width.
 SIZES: Final = ((8, 128, 128), (16, 128, 128), (64, 128, 128), (16, 256, 256))
@@ -36,7 +36,7 @@ BYTES: Final = 60
 Inputs = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
 
 
-class Sized(NamedTuple):
+class SizeResult(NamedTuple):
     """What was measured at one size."""
 
     size: tuple[int, int, int]
@@ -72,18 +72,20 @@ def bench_loss(
     records = writer.all(sized)
     lines = writer.lines(sized, missing)
     if variants:
-        inputs = example(VARIANT_SIZE)
-        expected = reference(inputs)
+        inputs = example_inputs(VARIANT_SIZE)
+        expected = reference_result(inputs)
         for name, variant in VARIANTS.items():
-            check(name, variant, inputs, expected)
-        found = contest({name: run(variant, inputs) for name, variant in VARIANTS.items()}, rounds)
+            check_variant(name, variant, inputs, expected)
+        found = time_in_turns(
+            {name: make_call(variant, inputs) for name, variant in VARIANTS.items()}, rounds
+        )
         records += [writer.time(f"loss.variant.{name}", times) for name, times in found.items()]
         lines += ["", "variants at " + "x".join(map(str, VARIANT_SIZE)) + ":"]
         lines += [f"  {1e3 * t.median:8.2f} ms  {name}: {VARIANTS[name].text}" for name, t in found.items()]
     return records, lines
 
 
-def example(size: tuple[int, int, int], seed: int = 0) -> Inputs:
+def example_inputs(size: tuple[int, int, int], seed: int = 0) -> Inputs:
     """Random inputs: normals not of unit length, a mask of 0 and 1 that counts 70 % of the pixels."""
     batch, height, width = size
     rng = torch.Generator().manual_seed(seed)
@@ -94,44 +96,44 @@ def example(size: tuple[int, int, int], seed: int = 0) -> Inputs:
     return normal, albedo, light, image, mask
 
 
-def reference(inputs: Inputs) -> Result:
+def reference_result(inputs: Inputs) -> Result:
     """Value and gradients by torch in double precision: what every contender is held to."""
     doubles = tuple(t.double() for t in inputs)
     leaves = [t.requires_grad_() for t in doubles[:3]]
     return value_and_gradients(_eager(*leaves, *doubles[3:]), leaves)
 
 
-def step(loss: Callable[..., Tensor], inputs: Inputs) -> Callable[[], Any]:
+def make_step(loss: Callable[..., Tensor], inputs: Inputs) -> Callable[[], Any]:
     """Forward and backward of a loss."""
     normal, albedo, light, image, mask = inputs
     leaves = [t.detach().requires_grad_() for t in (normal, albedo, light)]
     return lambda: torch.autograd.grad(loss(*leaves, image, mask), leaves)
 
 
-def _measure(size: tuple[int, int, int], rounds: int, compiled: bool) -> Sized:
-    inputs = example(size)
-    ours = step(lambda *x: reconstruction_l1(*x, backend="drjit"), inputs)
-    eager = step(_eager, inputs)
+def _measure(size: tuple[int, int, int], rounds: int, compiled: bool) -> SizeResult:
+    inputs = example_inputs(size)
+    ours = make_step(lambda *x: reconstruction_l1(*x, backend="drjit"), inputs)
+    eager = make_step(_eager, inputs)
     contenders = {"drjit": ours, "torch_eager": eager}
     if compiled:
         torch.compiler.reset()
-        contenders["torch_compile"] = step(torch.compile(_eager, dynamic=False), inputs)
-    expected = reference(inputs)
+        contenders["torch_compile"] = make_step(torch.compile(_eager, dynamic=False), inputs)
+    expected = reference_result(inputs)
     for name, call in contenders.items():
         gradients = call()
         require_agreement(f"bench loss: {name}", [None, *gradients], list(expected))  # type: ignore[arg-type]
     traffic = BYTES * size[0] * size[1] * size[2]
-    contenders |= {"same_size_copy": copier(traffic), "copy": bandwidth_copy()}
-    times = contest(contenders, rounds)
+    contenders |= {"same_size_copy": make_copy(traffic), "copy": bandwidth_copy()}
+    times = time_in_turns(contenders, rounds)
     copy_seconds = traffic / bytes_a_second(times["copy"])
-    return Sized(size, times, bound(ours, times["drjit"].median, copy_seconds))
+    return SizeResult(size, times, describe_bound(ours, times["drjit"].median, copy_seconds))
 
 
 def _eager(*inputs: Tensor) -> Tensor:
     return reconstruction_l1(*inputs, backend="torch")
 
 
-def _bandwidth(sized: list[Sized]) -> float:
+def _bandwidth(sized: list[SizeResult]) -> float:
     """GB/s."""
     return statistics.median(bytes_a_second(s.times["copy"]) for s in sized) / 1e9
 
@@ -140,7 +142,7 @@ class _Writer:
     def __init__(self, command: str) -> None:
         self._command = command
 
-    def all(self, sized: list[Sized]) -> list[Record]:
+    def all(self, sized: list[SizeResult]) -> list[Record]:
         records = [self._record("loss.copy_bandwidth", _bandwidth(sized), "GB/s")]
         for name in ("torch_eager", "torch_compile"):
             if all(name in s.times for s in sized):
@@ -154,7 +156,7 @@ class _Writer:
             records += [self.time(f"loss.time.{name}.{s.suffix}", times) for name, times in s.times.items()]
         return records
 
-    def lines(self, sized: list[Sized], missing: str | None) -> list[str]:
+    def lines(self, sized: list[SizeResult], missing: str | None) -> list[str]:
         lines = [f"copy bandwidth {_bandwidth(sized):.1f} GB/s (read and written, beyond the caches)"]
         lines += [f"torch.compile: not available: {missing}"] if missing else []
         for s in sized:
@@ -171,11 +173,11 @@ class _Writer:
         low, high = times.interval()
         return self._record(what, 1e3 * times.median, "ms", (1e3 * low, 1e3 * high))
 
-    def _share(self, s: Sized) -> tuple[float, tuple[float, float]]:
+    def _share(self, s: SizeResult) -> tuple[float, tuple[float, float]]:
         return s.times["drjit"].share(s.times["copy"], s.traffic)
 
     def _with_worst(
-        self, what: str, sized: list[Sized], values: list[tuple[float, tuple[float, float]]]
+        self, what: str, sized: list[SizeResult], values: list[tuple[float, tuple[float, float]]]
     ) -> list[Record]:
         worst, interval = min(values)
         each = [
@@ -186,4 +188,4 @@ class _Writer:
     def _record(
         self, what: str, value: float, unit: str, interval: tuple[float, float] | None = None
     ) -> Record:
-        return measured(what, value, unit, command=self._command, interval=interval, seed=0)
+        return make_record(what, value, unit, command=self._command, interval=interval, seed=0)

@@ -17,7 +17,7 @@ from torch import Tensor
 from sfsnet_dr.experiments.benchmarks.agreement import Result, require_agreement
 from sfsnet_dr.losses.reconstruction_drjit import value_and_gradients
 from sfsnet_dr.losses.reconstruction_drjit_reference import masked_l1_sum
-from sfsnet_dr.render.drjit_kernel import Call, Shaded, Signature, frozen
+from sfsnet_dr.render.drjit_kernel import Call, Shaded, Signature, freeze_kernel
 from sfsnet_dr.render.drjit_loop import Lanes, Source, sweep
 from sfsnet_dr.render.shading_numpy import COLOURS
 from sfsnet_dr.render.shading_torch import unit
@@ -54,17 +54,17 @@ class Variant(NamedTuple):
     result: Callable[[Any, Tensor], Result] = _as_result
 
 
-def check(name: str, variant: Variant, inputs: tuple[Tensor, ...], expected: Result) -> None:
+def check_variant(name: str, variant: Variant, inputs: tuple[Tensor, ...], expected: Result) -> None:
     """Hold a variant to the reference on some inputs.
 
     Raises:
         RunError: if its value or a gradient differs; see ``require_agreement``.
     """
-    found = variant.result(run(variant, inputs)(), inputs[-1])
+    found = variant.result(make_call(variant, inputs)(), inputs[-1])
     require_agreement(f"bench loss: variant {name!r}", found, [part for part in expected if part is not None])
 
 
-def run(variant: Variant, inputs: tuple[Tensor, ...]) -> Callable[[], Any]:
+def make_call(variant: Variant, inputs: tuple[Tensor, ...]) -> Callable[[], Any]:
     """The variant on some inputs (normal, albedo, light, image, mask), to be called repeatedly."""
     if variant.channels_last:
         inputs = tuple(t.contiguous(memory_format=torch.channels_last) if t.ndim == 4 else t for t in inputs)
@@ -99,7 +99,7 @@ def _with_weights(*inputs: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
 
 @functools.cache
 def _weight_kernel(what: Signature) -> Callable[..., Any]:
-    @frozen
+    @freeze_kernel
     def kernel(lanes: Lanes, sources: list[Source], light: Source, size: int) -> list[Any]:
         coefficients = what.load_light(lanes, light)
 

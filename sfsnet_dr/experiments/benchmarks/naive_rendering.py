@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class PlainRender:
+class NaiveRender:
     """What one light costs.
 
     Attributes:
@@ -35,7 +35,7 @@ class PlainRender:
     variance: float
 
 
-def plain_render(scene: SurfaceScene, mask: Array, samples: int, depth: int, runs: int = 2) -> PlainRender:
+def render_naively(scene: SurfaceScene, mask: Array, samples: int, depth: int, runs: int = 2) -> NaiveRender:
     """Render a scene under the light that it has.
 
     Args:
@@ -56,7 +56,7 @@ def plain_render(scene: SurfaceScene, mask: Array, samples: int, depth: int, run
         images.append(np.asarray(image, dtype=np.float64)[..., :3])
         seconds.append(time.perf_counter() - begin)
     variance = np.var(images, axis=0, ddof=1)[mask > 0].mean() * samples
-    return PlainRender(min(seconds), samples, float(variance))
+    return NaiveRender(min(seconds), samples, float(variance))
 
 
 @dataclass(frozen=True)
@@ -82,17 +82,17 @@ class Variances:
     directional: float
 
 
-def noise_of(captures: list[TransportMaps]) -> Noise:
+def measure_noise(captures: list[TransportMaps]) -> Noise:
     """Noise of one capture, estimated from several."""
     white = np.mean([maps.transport[0] for maps in captures], axis=0)[captures[0].mask > 0]
     scale = float(np.sqrt(np.mean(white**2)))
-    spread = variances_of(captures)
+    spread = response_variances(captures)
     return Noise(
         *(float(np.sqrt(value)) / scale for value in (spread.transport, spread.gloss, spread.directional))
     )
 
 
-def variances_of(captures: list[TransportMaps]) -> Variances:
+def response_variances(captures: list[TransportMaps]) -> Variances:
     """Mean variance over face pixels, colours and the responses of a kind."""
     mask = captures[0].mask > 0
 

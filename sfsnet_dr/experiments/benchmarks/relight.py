@@ -25,13 +25,13 @@ from sfsnet_dr.core.config import fingerprint
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.core.files import atomic_path, output_dir
 from sfsnet_dr.core.visualize import on_white, png_bytes, show_linear
-from sfsnet_dr.data.generate import identity
-from sfsnet_dr.metrics.bootstrap import interval
+from sfsnet_dr.data.generate import dataset_identity
+from sfsnet_dr.metrics.bootstrap import bootstrap_interval
 from sfsnet_dr.render.aovs import TransportMaps, TransportOptions, render_aovs
 from sfsnet_dr.render.path_tracer import path_trace
 from sfsnet_dr.render.transport_shading import ResponseWeights, relight_responses, response_weights
 from sfsnet_dr.report.html import Block, Gallery, KeyNumbers, Note, Section, Table, write_page
-from sfsnet_dr.report.record import Record, measured, write_records
+from sfsnet_dr.report.record import Record, make_record, write_records
 from sfsnet_dr.scene.faces.face import sample_face
 from sfsnet_dr.scene.lights.equirect import MAP_SIZE
 from sfsnet_dr.scene.lights.light import MAP_ORDER, Light
@@ -87,7 +87,7 @@ class FaceErrors:
     coverage: npt.NDArray[np.float32]
 
 
-class RelitFaces:
+class RelightBenchmark:
     """Measures faces one after another.
 
     Args:
@@ -242,8 +242,8 @@ def bench_relight(
     if spec.sampling.reference < 2:
         raise InputError(f"bench relight: {spec.sampling.reference} paths found, at least 2 are needed")
     kinds = [kind for kind in KINDS if kind != "hdr" or _lights_of(spec).environments is not None]
-    folder, key = output_dir(out), fingerprint(identity(spec))
-    measure, found = RelitFaces(spec, kinds), []
+    folder, key = output_dir(out), fingerprint(dataset_identity(spec))
+    measure, found = RelightBenchmark(spec, kinds), []
     for face in range(seed, seed + faces):
         path = folder / f"face-{face:06d}.npz"
         errors = _load(path, key) if path.exists() else measure.measure(face)
@@ -269,7 +269,9 @@ def to_records(table: Array, kinds: Sequence[LightKind], command: str, seed: int
         if part in CAUSES:
             values |= {f"relight.{kind}.cause.{part}": column[:, k] for k, kind in enumerate(kinds)}
     return [
-        measured(what, root_mean(squared), "1", interval=_interval(squared, seed), command=command, seed=seed)
+        make_record(
+            what, root_mean(squared), "1", interval=_interval(squared, seed), command=command, seed=seed
+        )
         for what, squared in values.items()
     ]
 
@@ -280,7 +282,7 @@ def root_mean(squared: Array) -> float:
 
 
 def _interval(squared: Array, seed: int) -> tuple[float, float] | None:
-    return interval(squared, root_mean, seed=seed) if len(squared) > 1 else None
+    return bootstrap_interval(squared, root_mean, seed=seed) if len(squared) > 1 else None
 
 
 def _store(path: Path, errors: FaceErrors, key: str) -> None:

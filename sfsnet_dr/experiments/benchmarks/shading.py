@@ -14,14 +14,14 @@ from sfsnet_dr.experiments.benchmarks.agreement import require_agreement, value_
 from sfsnet_dr.experiments.benchmarks.common import (
     Times,
     bandwidth_copy,
-    bound,
     bytes_a_second,
     compiler_missing,
-    contest,
-    copier,
+    describe_bound,
+    make_copy,
+    time_in_turns,
 )
 from sfsnet_dr.render import shading_drjit, shading_numpy, shading_torch
-from sfsnet_dr.report.record import Record, measured
+from sfsnet_dr.report.record import Record, make_record
 
 #: Batch, height, width at which the forms are compared.
 SIZE: Final = (64, 128, 128)
@@ -51,7 +51,7 @@ def bench_render(command: str, *, rounds: int = 15, compiled: bool = True) -> tu
     """
 
     def record(what: str, value: float, unit: str, interval: tuple[float, float] | None = None) -> Record:
-        return measured(f"render.{what}", value, unit, command=command, interval=interval, seed=0)
+        return make_record(f"render.{what}", value, unit, command=command, interval=interval, seed=0)
 
     missing = compiler_missing() if compiled else "left out"
     forms: dict[str, Render] = {"drjit": shading_drjit.f_render, "torch_eager": shading_torch.f_render}
@@ -59,12 +59,12 @@ def bench_render(command: str, *, rounds: int = 15, compiled: bool = True) -> tu
         torch.compiler.reset()
         forms["torch_compile"] = torch.compile(shading_torch.f_render, dynamic=False)
     for name, form in forms.items():
-        check(name, form, example(SIZE))
-    inputs, pixels = example(SIZE), SIZE[0] * SIZE[1] * SIZE[2]
+        check_renderer(name, form, example_inputs(SIZE))
+    inputs, pixels = example_inputs(SIZE), SIZE[0] * SIZE[1] * SIZE[2]
     contenders: dict[str, Callable[[], Any]] = {name: _rendering(f, inputs) for name, f in forms.items()}
     contenders |= {f"{name}_gradient": _step(f, inputs) for name, f in forms.items()}
-    contenders |= {"copy": bandwidth_copy(), "same_size_copy": copier(BYTES * pixels)}
-    times = contest(contenders, rounds)
+    contenders |= {"copy": bandwidth_copy(), "same_size_copy": make_copy(BYTES * pixels)}
+    times = time_in_turns(contenders, rounds)
     ours = times["drjit"]
     bandwidth = bytes_a_second(times["copy"])
     records = [record("copy_bandwidth", bandwidth / 1e9, "GB/s")]
@@ -82,11 +82,11 @@ def bench_render(command: str, *, rounds: int = 15, compiled: bool = True) -> tu
     records += [_milliseconds(record, name, found) for name, found in times.items()]
     lines = [f"torch.compile: not available: {missing}"] if missing else []
     lines += [f"64x128x128: {1e3 * ours.median:.2f} ms, {100 * share:.0f} % of the copy bandwidth"]
-    lines += [f"    {bound(contenders['drjit'], ours.median, BYTES * pixels / bandwidth)}"]
+    lines += [f"    {describe_bound(contenders['drjit'], ours.median, BYTES * pixels / bandwidth)}"]
     return _over_sizes(record, records, lines, rounds)
 
 
-def example(size: tuple[int, int, int], seed: int = 0) -> tuple[Tensor, Tensor, Tensor]:
+def example_inputs(size: tuple[int, int, int], seed: int = 0) -> tuple[Tensor, Tensor, Tensor]:
     """Random normals not of unit length, albedo and light of order 2."""
     batch, height, width = size
     rng = torch.Generator().manual_seed(seed)
@@ -95,7 +95,7 @@ def example(size: tuple[int, int, int], seed: int = 0) -> tuple[Tensor, Tensor, 
     return normal, albedo, torch.randn(batch, 27, generator=rng)
 
 
-def check(name: str, form: Render, inputs: tuple[Tensor, Tensor, Tensor]) -> None:
+def check_renderer(name: str, form: Render, inputs: tuple[Tensor, Tensor, Tensor]) -> None:
     """Hold the image and its gradients to NumPy's and torch's in double precision.
 
     Raises:
@@ -125,8 +125,8 @@ def _over_sizes(
 ) -> tuple[list[Record], list[str]]:
     seconds = []
     for side in SIDES:
-        call = _rendering(shading_drjit.f_render, example((1, side, side)))
-        found = contest({"drjit": call}, rounds)["drjit"]
+        call = _rendering(shading_drjit.f_render, example_inputs((1, side, side)))
+        found = time_in_turns({"drjit": call}, rounds)["drjit"]
         seconds.append(found.median)
         records.append(_milliseconds(record, f"drjit.1x{side}x{side}", found))
     pixels = np.array(SIDES, dtype=float) ** 2
@@ -134,7 +134,7 @@ def _over_sizes(
     rows = np.stack([np.ones_like(pixels), pixels], 1) / np.array(seconds)[:, None]
     (fixed, each), *_ = np.linalg.lstsq(rows, np.ones(len(SIDES)))
     worst = float(np.abs(rows @ (fixed, each) - 1).max())
-    faults = page_faults(_rendering(shading_drjit.f_render, example(SIZE)))
+    faults = page_faults(_rendering(shading_drjit.f_render, example_inputs(SIZE)))
     records += [
         record("linear.fixed", 1e6 * fixed, "us"),
         record("linear.per_pixel", 1e9 * each, "ns"),

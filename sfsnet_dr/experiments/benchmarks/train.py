@@ -22,13 +22,13 @@ from sfsnet_dr.core.errors import RunError
 from sfsnet_dr.core.host import keep_freed_memory
 from sfsnet_dr.data.batch import FaceBatch
 from sfsnet_dr.data.dataset import RelitFaces, load_faces
-from sfsnet_dr.experiments.benchmarks.common import Times, contest
+from sfsnet_dr.experiments.benchmarks.common import Times, time_in_turns
 from sfsnet_dr.models.base import NetworkOutput
-from sfsnet_dr.report.record import Record, measured
-from sfsnet_dr.scene.lights.cache import draw_bank
+from sfsnet_dr.report.record import Record, make_record
+from sfsnet_dr.scene.lights.cache import draw_lights
 from sfsnet_dr.train.config import ComputeRecipe, Recipe, multiplies_bfloat16
-from sfsnet_dr.train.distributed import Team, join
-from sfsnet_dr.train.step import batch_loss, predicted, training_step
+from sfsnet_dr.train.distributed import ProcessGroup, join_process_group
+from sfsnet_dr.train.step import batch_loss, predict_encoded, training_step
 
 #: Lights that images are relit by; their number matters to no time.
 _LIGHTS: Final = 64
@@ -38,14 +38,14 @@ PRODUCT_SIZE: Final = 2048
 _PATIENCE: Final = 10.0
 
 
-def relit_faces(recipe: Recipe, data: Path, team: Team) -> RelitFaces:
+def relit_faces(recipe: Recipe, data: Path, team: ProcessGroup) -> RelitFaces:
     """The batches of a recipe, under a few of its lights."""
     faces = load_faces(data, recipe.data.view).to(team.device)
-    bank = draw_bank(recipe.data.light, min(_LIGHTS, recipe.data.lights), recipe.seed)
+    bank = draw_lights(recipe.data.light, min(_LIGHTS, recipe.data.lights), recipe.seed)
     return RelitFaces(faces, recipe.batch_size, recipe.data, recipe.seed, bank)
 
 
-def plainly(recipe: Recipe) -> Recipe:
+def naive_step(recipe: Recipe) -> Recipe:
     """The recipe in float32, with torch's memory order and loss."""
     compute = ComputeRecipe(
         "float32", channels_last=False, loss_backend="torch", device=recipe.compute.device
@@ -53,17 +53,17 @@ def plainly(recipe: Recipe) -> Recipe:
     return replace(recipe, compute=compute)
 
 
-def stepper(recipe: Recipe, batch: FaceBatch, team: Team) -> Callable[[], Any]:
+def make_step(recipe: Recipe, batch: FaceBatch, team: ProcessGroup) -> Callable[[], Any]:
     """What makes one step of a fresh network after another."""
     model = recipe.make_model()
     team.prepare(model)
     layout = torch.channels_last if recipe.compute.channels_last else torch.contiguous_format
     model.to(memory_format=layout)  # type: ignore[call-overload]
     adam = torch.optim.Adam(model.parameters())
-    return finished(lambda: training_step(model, adam, batch, recipe, 1e-4, team), team)
+    return wait_for_device(lambda: training_step(model, adam, batch, recipe, 1e-4, team), team)
 
 
-def finished(call: Callable[[], Any], team: Team) -> Callable[[], Any]:
+def wait_for_device(call: Callable[[], Any], team: ProcessGroup) -> Callable[[], Any]:
     """The call, waited for: a GPU is given work faster than it does it."""
     if team.device.type != "cuda":
         return call
@@ -75,7 +75,7 @@ def finished(call: Callable[[], Any], team: Team) -> Callable[[], Any]:
     return waited
 
 
-def products(recipe: Recipe, image: Tensor, team: Team) -> int:
+def layer_products(recipe: Recipe, image: Tensor, team: ProcessGroup) -> int:
     """Multiplications and additions of the convolutions and products of one step on a batch of images."""
     model = recipe.make_model()
     team.prepare(model)
@@ -84,11 +84,11 @@ def products(recipe: Recipe, image: Tensor, team: Team) -> int:
     return int(counter.get_total_flops())
 
 
-def large_product(recipe: Recipe, team: Team) -> Callable[[], Any]:
+def large_product(recipe: Recipe, team: ProcessGroup) -> Callable[[], Any]:
     """The product of two large matrices in the precision of a recipe's step."""
     kind = torch.bfloat16 if recipe.compute.bfloat16(team.device) else torch.float32
     left, right = torch.rand(2, PRODUCT_SIZE, PRODUCT_SIZE, device=team.device).to(kind)
-    return finished(lambda: left @ right, team)
+    return wait_for_device(lambda: left @ right, team)
 
 
 class StepsApart:
@@ -127,8 +127,8 @@ class StepsApart:
 
 
 def _serve(pipe: Connection, recipe: Recipe, data: Path) -> None:
-    with join(recipe.compute.device) as team:
-        step = stepper(recipe, relit_faces(recipe, data, team).batch(0), team)
+    with join_process_group(recipe.compute.device) as team:
+        step = make_step(recipe, relit_faces(recipe, data, team).batch(0), team)
         while True:
             try:
                 pipe.recv()
@@ -159,22 +159,22 @@ def bench_train(
         Records, and lines to read.
     """
     recipe = replace(recipe, real=replace(recipe.real, share=0.0))
-    with join(recipe.compute.device) as team, StepsApart(plainly(recipe), data) as plain:
+    with join_process_group(recipe.compute.device) as team, StepsApart(naive_step(recipe), data) as plain:
         keep_freed_memory()
         batches = relit_faces(recipe, data, team)
-        times = contest({"plain": plain, **_contenders(recipe, batches, team)}, rounds)
-        work = products(recipe, batches.batch(0).image, team)
+        times = time_in_turns({"plain": plain, **_contenders(recipe, batches, team)}, rounds)
+        work = layer_products(recipe, batches.batch(0).image, team)
         fast = recipe.compute.bfloat16(team.device)
         native = multiplies_bfloat16(team.device)
     return _told(recipe, times, work, command, fast, native, team)
 
 
-def _contenders(recipe: Recipe, batches: RelitFaces, team: Team) -> dict[str, Callable[[], Any]]:
+def _contenders(recipe: Recipe, batches: RelitFaces, team: ProcessGroup) -> dict[str, Callable[[], Any]]:
     steps = iter(range(10**9))
     batch = batches.batch(0)
     model = recipe.make_model()
     team.prepare(model)
-    answer = NetworkOutput(*(part.detach() for part in predicted(model, batch.image, recipe)))
+    answer = NetworkOutput(*(part.detach() for part in predict_encoded(model, batch.image, recipe)))
 
     def loss() -> None:
         leaves = NetworkOutput(*(part.requires_grad_() for part in answer))
@@ -182,16 +182,22 @@ def _contenders(recipe: Recipe, batches: RelitFaces, team: Team) -> dict[str, Ca
         torch.autograd.grad(total, leaves)
 
     return {
-        "step": stepper(recipe, batch, team),
-        "plain_kept": stepper(plainly(recipe), batch, team),
-        "data": finished(lambda: batches.batch(next(steps)), team),
-        "loss": finished(loss, team),
+        "step": make_step(recipe, batch, team),
+        "plain_kept": make_step(naive_step(recipe), batch, team),
+        "data": wait_for_device(lambda: batches.batch(next(steps)), team),
+        "loss": wait_for_device(loss, team),
         "matmul": large_product(recipe, team),
     }
 
 
 def _told(
-    recipe: Recipe, times: dict[str, Times], work: int, command: str, fast: bool, native: bool, team: Team
+    recipe: Recipe,
+    times: dict[str, Times],
+    work: int,
+    command: str,
+    fast: bool,
+    native: bool,
+    team: ProcessGroup,
 ) -> tuple[list[Record], list[str]]:
     step, data, loss = (times[name].rounds for name in ("step", "data", "loss"))
     whole = Times(tuple(a + b for a, b in zip(step, data, strict=True)))
@@ -205,7 +211,7 @@ def _told(
     def record(
         what: str, value: float, unit: str = "1", interval: tuple[float, float] | None = None
     ) -> Record:
-        return measured(f"train.{what}", value, unit, command=command, interval=interval, seed=recipe.seed)
+        return make_record(f"train.{what}", value, unit, command=command, interval=interval, seed=recipe.seed)
 
     def share(name: str, part: tuple[float, ...]) -> Record:
         found = Times(tuple(p / w for p, w in zip(part, whole.rounds, strict=True)))

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from sfsnet_dr.core.visualize import Pixels, on_white, png_bytes, show_linear, show_normals
 from sfsnet_dr.data.bundle import Bundle
 from sfsnet_dr.experiments.demo.result import TOLERANCE, DemoResult
-from sfsnet_dr.experiments.validation.page import section
-from sfsnet_dr.experiments.validation.summary import duration, pooled
-from sfsnet_dr.inference.outputs import pictures
+from sfsnet_dr.experiments.validation.page import scene_section
+from sfsnet_dr.experiments.validation.summary import format_duration, pooled_error
+from sfsnet_dr.inference.outputs import decomposition_pictures
 from sfsnet_dr.models.shipped import BEST
 from sfsnet_dr.report.html import Figure, Gallery, KeyNumbers, Note, Section, Table, write_page
 from sfsnet_dr.report.plots import loss_curve
@@ -31,7 +31,7 @@ def write_demo_page(path: Path, result: DemoResult) -> None:
     sections = [
         _summary(result),
         _faces(result),
-        *(section(study, TOLERANCE) for study in result.studies),
+        *(scene_section(study, TOLERANCE) for study in result.studies),
         _training(result),
         _photograph(result),
         _unseen(result),
@@ -44,7 +44,7 @@ def write_demo_page(path: Path, result: DemoResult) -> None:
 
 
 def _summary(result: DemoResult) -> Section:
-    sphere, head = (pooled(study, "order2", study.natural) for study in result.studies)
+    sphere, head = (pooled_error(study, "order2", study.natural) for study in result.studies)
     images = len(result.history)
     return Section(
         "In short",
@@ -53,7 +53,7 @@ def _summary(result: DemoResult) -> Section:
                 [
                     (f"{100 * sphere.error:.1f} %", "error of order-2 SH on a sphere, natural light"),
                     (f"{100 * head.error:.1f} %", "the same on a head, where noses cast shadows"),
-                    (duration(head.seconds), "time of one such image"),
+                    (format_duration(head.seconds), "time of one such image"),
                     (f"{result.normal_errors.mean:.1f}°", "normals of an unseen synthetic face"),
                     (f"{_value(result, 'demo.seconds') / 60:.1f} min", "time of this demo"),
                 ]
@@ -121,7 +121,7 @@ def _photograph(result: DemoResult) -> Section:
         "A photograph",
         [
             Gallery(
-                [(png_bytes(picture), label) for label, picture in pictures(face).values()],
+                [(png_bytes(picture), label) for label, picture in decomposition_pictures(face).values()],
                 "Eileen Collins, NASA, public domain, brought to the canonical frame by her eye centres. "
                 "White is outside the mask, an ellipse.",
             ),
@@ -143,7 +143,7 @@ def _unseen(result: DemoResult) -> Section:
             "True shading",
         ),
     ]
-    found = [(png_bytes(picture), label) for label, picture in pictures(face).values()]
+    found = [(png_bytes(picture), label) for label, picture in decomposition_pictures(face).values()]
     return Section(
         "An unseen face beside the truth",
         [

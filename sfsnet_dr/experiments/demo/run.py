@@ -19,9 +19,9 @@ from sfsnet_dr.data.bundle import Bundle
 from sfsnet_dr.data.generate import render_bundle, synthesize
 from sfsnet_dr.experiments.demo.page import write_demo_page
 from sfsnet_dr.experiments.demo.result import TOLERANCE, DemoResult
-from sfsnet_dr.experiments.doctor import Report, diagnose
+from sfsnet_dr.experiments.doctor import Report, check_installation
 from sfsnet_dr.experiments.validation.records import study_records
-from sfsnet_dr.experiments.validation.run import measure
+from sfsnet_dr.experiments.validation.run import measure_scene
 from sfsnet_dr.experiments.validation.summary import Study
 from sfsnet_dr.inference.decompose import decompose_photographs, reconstruction_error
 from sfsnet_dr.inference.outputs import Decomposition, write_decomposition
@@ -29,8 +29,8 @@ from sfsnet_dr.inference.photograph import Photograph
 from sfsnet_dr.metrics.normals import NormalErrors, angular_error_deg
 from sfsnet_dr.models.inference import load_model
 from sfsnet_dr.models.shipped import BEST
-from sfsnet_dr.report.console import bar
-from sfsnet_dr.report.record import Record, measured, write_records
+from sfsnet_dr.report.console import progress_bar
+from sfsnet_dr.report.record import Record, make_record, write_records
 from sfsnet_dr.scene.lights.presets import light_set
 from sfsnet_dr.scene.spec import SceneSpec, load_scene
 from sfsnet_dr.scene.subject import build_subject
@@ -85,10 +85,12 @@ def run_demo(out: Path | str, root: Path | str = ".", *, console: Console | None
     errors, own_errors = (angular_error_deg(f.normal, truth.normal, truth.mask) for f in (synthetic, own))
     records = _records(studies, training, photograph, synthetic, errors)
     records.append(
-        measured("demo.own.normals.mean_deg", own_errors.mean, "degrees", command=_COMMAND, seed=UNSEEN_SEED)
+        make_record(
+            "demo.own.normals.mean_deg", own_errors.mean, "degrees", command=_COMMAND, seed=UNSEEN_SEED
+        )
     )
-    records.append(measured("import.seconds", import_seconds(), "s", command=_COMMAND))
-    records.append(measured("demo.seconds", time.perf_counter() - begin, "s", command=_COMMAND))
+    records.append(make_record("import.seconds", import_seconds(), "s", command=_COMMAND))
+    records.append(make_record("demo.seconds", time.perf_counter() - begin, "s", command=_COMMAND))
     result = DemoResult(
         doctor=doctor,
         spec=spec,
@@ -148,7 +150,7 @@ def _checkout(root: Path | str) -> Path:
 
 def _doctor(screen: Console) -> Report:
     screen.rule("1/6  Does the renderer start?", align="left")
-    report = diagnose()
+    report = check_installation()
     screen.print(report.to_text(), highlight=False, markup=False)
     if not report.ok:
         failed = next(check for check in report.checks if not check.ok)
@@ -159,7 +161,7 @@ def _doctor(screen: Console) -> Report:
 def _render(spec: SceneSpec, folder: Path, screen: Console) -> tuple[int, float]:
     screen.rule(f"2/6  Render {FACES} faces with their light transport", align="left")
     begin, rendered = time.perf_counter(), 0
-    with bar("faces", FACES) as advance:
+    with progress_bar("faces", FACES) as advance:
 
         def on_face(seed: int) -> None:
             nonlocal rendered
@@ -174,7 +176,7 @@ def _validate(path: Path, screen: Console) -> Study:
     spec = load_scene(path)
     number = 3 if spec.shape == "sphere" else 4
     screen.rule(f"{number}/6  Measure SH shading against the path tracer: {spec.name}", align="left")
-    return measure(build_subject(spec), light_set(LIGHTS), cold=False)
+    return measure_scene(build_subject(spec), light_set(LIGHTS), cold=False)
 
 
 def _unseen(truth: Bundle) -> Photograph:
@@ -197,12 +199,12 @@ def _records(
     losses = {"first": training.first, "final": training.final}
     for when, terms in losses.items():
         for term, value in terms.items():
-            records.append(measured(f"demo.train.{when}.{term}", value, "1", command=_COMMAND, seed=0))
+            records.append(make_record(f"demo.train.{when}.{term}", value, "1", command=_COMMAND, seed=0))
     for face in (photograph, synthetic):
         name = f"demo.{face.name.replace('-', '_')}.reconstruction.mae_8bit"
-        records.append(measured(name, reconstruction_error(face), "8-bit sRGB", command=_COMMAND, seed=0))
+        records.append(make_record(name, reconstruction_error(face), "8-bit sRGB", command=_COMMAND, seed=0))
     normals = "demo.unseen_face.normals.mean_deg"
-    records.append(measured(normals, errors.mean, "degrees", command=_COMMAND, seed=UNSEEN_SEED))
+    records.append(make_record(normals, errors.mean, "degrees", command=_COMMAND, seed=UNSEEN_SEED))
     return records
 
 

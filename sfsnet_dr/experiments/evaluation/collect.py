@@ -9,15 +9,15 @@ from typing import Final
 
 from sfsnet_dr.core.errors import InputError, nearest
 from sfsnet_dr.data.databases.base import Listing
-from sfsnet_dr.data.databases.registry import open_database, recognise
-from sfsnet_dr.data.normal_labels import load_surfaces, read_index
-from sfsnet_dr.experiments.evaluation.labelled import FEW, labelled
+from sfsnet_dr.data.databases.registry import open_database, recognise_database
+from sfsnet_dr.data.normal_labels import load_normal_labels, read_index
+from sfsnet_dr.experiments.evaluation.labelled import FEW, labelled_samples
 from sfsnet_dr.experiments.evaluation.samples import Collection
-from sfsnet_dr.experiments.evaluation.synthetic import synthetic
-from sfsnet_dr.experiments.evaluation.unlabelled import lit, photographs
-from sfsnet_dr.experiments.photometric_stereo.captures import read_captures
-from sfsnet_dr.experiments.photometric_stereo.run import label_surfaces
-from sfsnet_dr.report.console import bar
+from sfsnet_dr.experiments.evaluation.synthetic import synthetic_samples
+from sfsnet_dr.experiments.evaluation.unlabelled import photograph_samples, under_lights
+from sfsnet_dr.experiments.photometric_stereo.captures import read_image_sets
+from sfsnet_dr.experiments.photometric_stereo.run import compute_normal_labels
+from sfsnet_dr.report.console import progress_bar
 
 #: Kinds of data, and what is measured on each.
 KINDS: Final = {
@@ -49,7 +49,7 @@ class Amount:
     database: str = "yale-b"
 
 
-def collect(kind: str, folders: Sequence[Path], amount: Amount) -> Collection:
+def collect_samples(kind: str, folders: Sequence[Path], amount: Amount) -> Collection:
     """Read the data, with a bar on standard error.
 
     Args:
@@ -68,30 +68,30 @@ def collect(kind: str, folders: Sequence[Path], amount: Amount) -> Collection:
         raise InputError(f"most: {amount.most} photographs found, at least 1 is needed")
     most = min(amount.most, _QUICK_MOST) if amount.quick else amount.most
     if kind == "synthetic":
-        with bar("photographing rendered faces", most) as advance:
-            return synthetic(folders, most, advance)
+        with progress_bar("photographing rendered faces", most) as advance:
+            return synthetic_samples(folders, most, advance)
     if kind == "labels":
-        index, faces = read_index(folders[0]), load_surfaces(folders[0])
+        index, faces = read_index(folders[0]), load_normal_labels(folders[0])
         chosen = sorted({face.subject for face in faces})[: _QUICK_SUBJECTS if amount.quick else None]
         faces = [face for face in faces if face.subject in chosen]
         names = {name for face in faces for name in face.lights}
         lights = _some(names, index["database"], amount.quick)
-        return labelled(index["database"], faces, index["skipped"], lights)
+        return labelled_samples(index["database"], faces, index["skipped"], lights)
     listing = _open(amount.database if kind == "lights" else kind, folders[0])
     if kind in ("celeba", "folder"):
-        with bar("reading photographs", min(most, len(listing.photos))) as advance:
-            return photographs(listing, most, advance)
+        with progress_bar("reading photographs", min(most, len(listing.photos))) as advance:
+            return photograph_samples(listing, most, advance)
     if amount.quick:
         listing = listing.first_subjects(_QUICK_SUBJECTS)
     lights = _some({photo.light for photo in listing.photos}, listing.database, amount.quick)
     if kind == "lights":
-        with bar("reading photographs", len(listing.photos)) as advance:
-            return lit(listing, lights, advance)
-    with bar("reading photographs", len(listing.captures())) as advance:
-        read = read_captures(listing, advance)
-    with bar("photometric stereo", len(read.faces)) as advance:
-        found = label_surfaces(read, halves=False, on_capture=advance)
-    return labelled(kind, found.labels, found.skipped, lights, listing)
+        with progress_bar("reading photographs", len(listing.photos)) as advance:
+            return under_lights(listing, lights, advance)
+    with progress_bar("reading photographs", len(listing.captures())) as advance:
+        read = read_image_sets(listing, advance)
+    with progress_bar("photometric stereo", len(read.faces)) as advance:
+        found = compute_normal_labels(read, halves=False, on_capture=advance)
+    return labelled_samples(kind, found.labels, found.skipped, lights, listing)
 
 
 def _open(kind: str, folder: Path) -> Listing:
@@ -99,7 +99,7 @@ def _open(kind: str, folder: Path) -> Listing:
     try:
         return open_database(kind, folder)
     except InputError as error:
-        other = recognise(folder)
+        other = recognise_database(folder)
         if other in (None, kind) or str(folder) not in str(error):
             raise
         raise InputError(f"{folder}: holds no photographs of {kind}; it looks like {other}") from error

@@ -16,13 +16,13 @@ from torch import Tensor
 
 from sfsnet_dr.core.color_torch import linear_to_srgb, srgb_to_linear
 from sfsnet_dr.core.visualize import Pixels, on_white, show_albedo, show_linear, show_normals
-from sfsnet_dr.experiments.evaluation.failure_cases import Cause, reason, score
-from sfsnet_dr.experiments.evaluation.measure import ImageErrors, Measured, answers
+from sfsnet_dr.experiments.evaluation.failure_cases import FailureCause, describe_failure, failure_score
+from sfsnet_dr.experiments.evaluation.measure import ImageErrors, MethodErrors, run_method
 from sfsnet_dr.experiments.evaluation.records import normal_statistics
-from sfsnet_dr.experiments.evaluation.samples import Shot, spread_out
-from sfsnet_dr.inference.methods import Answer, Method, NetworkMethod
-from sfsnet_dr.inference.relight import VIEW_LIGHTS, directional
-from sfsnet_dr.inference.sheet import SheetStyle, sheet
+from sfsnet_dr.experiments.evaluation.samples import EvaluationSample, spread_out
+from sfsnet_dr.inference.methods import Method, NetworkMethod, Prediction
+from sfsnet_dr.inference.relight import VIEW_LIGHTS, directional_shading
+from sfsnet_dr.inference.sheet import SheetStyle, draw_sheet
 from sfsnet_dr.metrics.light import light_direction
 from sfsnet_dr.metrics.normals import angles_deg
 from sfsnet_dr.render.shading_torch import shading
@@ -37,7 +37,7 @@ DARKEST: Final = 40.0
 _NOTHING: Final[Cell] = ("", np.full((128, 128, 3), 255, np.uint8))
 
 
-def _sheet(cells: Sequence[Cell], columns: int, shots: Sequence[Shot]) -> bytes:
+def _sheet(cells: Sequence[Cell], columns: int, shots: Sequence[EvaluationSample]) -> bytes:
     """Cells of twice the page's pixels, cut to the square that holds all of what the photographs show."""
     cell = min(286, (1840 - 24 * (columns - 1)) // columns)
     style = SheetStyle(cell=cell, gap=24, margin=4, label=44, text=17 if columns <= 6 else 15)
@@ -48,19 +48,19 @@ def _sheet(cells: Sequence[Cell], columns: int, shots: Sequence[Shot]) -> bytes:
         int(np.clip((ends[0] + ends[-1] + 1 - side) // 2, 0, len(shown) - side)) for ends in (rows, across)
     )
     cut = [(label, picture[top : top + side, left : left + side]) for label, picture in cells]
-    return sheet(cut, columns=columns, style=style)
+    return draw_sheet(cut, columns=columns, style=style)
 
 
-def side_by_side(methods: Sequence[Method], shots: Sequence[Shot]) -> bytes:
+def side_by_side(methods: Sequence[Method], shots: Sequence[EvaluationSample]) -> bytes:
     """Two photographs with their truth; a method a row, named under its normals, albedo, reconstruction."""
     shots = shots[:2]
     cells: list[Cell] = []
     for shot in shots:
-        cells += [(shot.light or "photograph", photograph(shot))]
+        cells += [(shot.light or "photograph", sample_photograph(shot))]
         cells += [_known_normals(shot), _known_albedo(shot)]
     for method in methods:
         for shot in shots:
-            answer = answers(method, [shot])
+            answer = run_method(method, [shot])
             word = "" if answer.divided else "reconstruction"
             cells += [
                 (method.name, _normals(answer, 0, shot)),
@@ -70,21 +70,21 @@ def side_by_side(methods: Sequence[Method], shots: Sequence[Shot]) -> bytes:
     return _sheet(cells, 3 * len(shots), shots)
 
 
-def decompositions(method: Method, shots: Sequence[Shot]) -> bytes:
+def decomposition_rows(method: Method, shots: Sequence[EvaluationSample]) -> bytes:
     """A row a photograph: normals, albedo, shading, reconstruction, and three relit views."""
-    answer = answers(method, shots)
+    answer = run_method(method, shots)
     cells: list[Cell] = []
     for index, shot in enumerate(shots):
         shade = shading(answer.normal, answer.light)[index]
         cells += [
-            (shot.light or "photograph", photograph(shot)),
+            (shot.light or "photograph", sample_photograph(shot)),
             ("normals", _normals(answer, index, shot)),
             ("albedo", _albedo(answer, index, shot)),
             ("shading", _scaled(shade, shot)),
             ("reconstruction", _drawn(answer, index, shot)),
         ]
         for side, way in VIEW_LIGHTS.items():
-            light = torch.from_numpy(directional(way).flat()).float()
+            light = torch.from_numpy(directional_shading(way).flat()).float()
             cells.append((f"lit from the {side}", _scaled(_under(method, answer, index, light), shot)))
     return _sheet(cells, 8, shots)
 
@@ -93,21 +93,22 @@ def decompositions(method: Method, shots: Sequence[Shot]) -> bytes:
 class Pair:
     """Two photographs whose lights are exchanged, and each face in the other's light if that was taken."""
 
-    first: Shot
-    second: Shot
-    first_so: Shot | None = None
-    second_so: Shot | None = None
+    first: EvaluationSample
+    second: EvaluationSample
+    first_so: EvaluationSample | None = None
+    second_so: EvaluationSample | None = None
 
 
-def transfers(method: Method, pairs: Sequence[Pair]) -> bytes:
+def light_transfer_rows(method: Method, pairs: Sequence[Pair]) -> bytes:
     """A row a pair: both photographs, each with the other's light, and the photograph of that if there is."""
     cells: list[Cell] = []
     with_truth = any(pair.first_so is not None for pair in pairs)
     for pair in pairs:
-        answer = answers(method, [pair.first, pair.second])
+        answer = run_method(method, [pair.first, pair.second])
         photos = [("A", pair.first), ("B", pair.second)]
         cells += [
-            (f"{word}: {shot.light}" if shot.light else word, photograph(shot)) for word, shot in photos
+            (f"{word}: {shot.light}" if shot.light else word, sample_photograph(shot))
+            for word, shot in photos
         ]
         for index, shot, other, so, words in (
             (0, pair.first, 1, pair.first_so, ("A in the light of B", "A photographed so")),
@@ -116,11 +117,13 @@ def transfers(method: Method, pairs: Sequence[Pair]) -> bytes:
             moved = _under(method, answer, index, answer.light[other])
             cells.append((words[0], on_white(show_linear(_picture(moved)), shot.mask[0].numpy())))
             if with_truth:
-                cells.append(_NOTHING if so is None else (words[1], photograph(so)))
+                cells.append(_NOTHING if so is None else (words[1], sample_photograph(so)))
     return _sheet(cells, 6 if with_truth else 4, [shot for p in pairs for shot in (p.first, p.second)])
 
 
-def ranked(method: Method, chosen: Sequence[ImageErrors], unit: str, why: Sequence[Cause] = ()) -> bytes:
+def rank_samples(
+    method: Method, chosen: Sequence[ImageErrors], unit: str, why: Sequence[FailureCause] = ()
+) -> bytes:
     """A row of each: the photograph with its error, what the method found, and where it is wrong.
 
     Args:
@@ -129,31 +132,31 @@ def ranked(method: Method, chosen: Sequence[ImageErrors], unit: str, why: Sequen
         unit: of the errors.
         why: causes of which the strongest is named below the last picture, if given.
     """
-    answer = answers(method, [e.shot for e in chosen])
+    answer = run_method(method, [e.shot for e in chosen])
     cells: list[Cell] = []
     for index, errors in enumerate(chosen):
         shot = errors.shot
         name = f"{shot.light}: " if shot.light else ""
-        cells.append((f"{name}{score(errors):.1f} {unit}", photograph(shot)))
+        cells.append((f"{name}{failure_score(errors):.1f} {unit}", sample_photograph(shot)))
         cells.append(("normals found", _normals(answer, index, shot)))
         if shot.normal is not None:
             cells += [_known_normals(shot), (f"error, dark: {DARKEST:.0f} deg", _error(answer, index, shot))]
         cells.append(("albedo", _albedo(answer, index, shot)))
         cells.append(("reconstruction", _drawn(answer, index, shot)))
         if shot.normal is None:
-            light = torch.from_numpy(directional(VIEW_LIGHTS["left"]).flat()).float()
+            light = torch.from_numpy(directional_shading(VIEW_LIGHTS["left"]).flat()).float()
             cells.append(("lit from the left", _scaled(_under(method, answer, index, light), shot)))
         if why:
-            cells[-1] = (reason(shot, why), cells[-1][1])
+            cells[-1] = (describe_failure(shot, why), cells[-1][1])
     return _sheet(cells, len(cells) // len(chosen), [errors.shot for errors in chosen])
 
 
-def photograph(shot: Shot) -> Pixels:
+def sample_photograph(shot: EvaluationSample) -> Pixels:
     """The photograph, white beyond its border."""
     return on_white(show_linear(_picture(shot.image)), shot.shown)
 
 
-def _under(method: Method, answer: Answer, index: int, light: Tensor) -> Tensor:
+def _under(method: Method, answer: Prediction, index: int, light: Tensor) -> Tensor:
     """A face under another light of the same method, linear (3, S, S).
 
     Networks of display-referred values multiply encoded albedo and shading.
@@ -164,38 +167,38 @@ def _under(method: Method, answer: Answer, index: int, light: Tensor) -> Tensor:
     return answer.albedo[index] * shade
 
 
-def _normals(answer: Answer, index: int, shot: Shot) -> Pixels:
+def _normals(answer: Prediction, index: int, shot: EvaluationSample) -> Pixels:
     return on_white(show_normals(_picture(answer.normal[index])), shot.mask[0].numpy())
 
 
-def _albedo(answer: Answer, index: int, shot: Shot) -> Pixels:
+def _albedo(answer: Prediction, index: int, shot: EvaluationSample) -> Pixels:
     mask = shot.mask[0].numpy()
     return on_white(show_albedo(_picture(answer.albedo[index]), mask), mask)
 
 
-def _drawn(answer: Answer, index: int, shot: Shot) -> Pixels:
+def _drawn(answer: Prediction, index: int, shot: EvaluationSample) -> Pixels:
     return on_white(show_linear(_picture(answer.image[index])), shot.mask[0].numpy())
 
 
-def _scaled(planes: Tensor, shot: Shot) -> Pixels:
+def _scaled(planes: Tensor, shot: EvaluationSample) -> Pixels:
     mask = shot.mask[0].numpy()
     return on_white(show_albedo(_picture(planes).clip(0), mask), mask)
 
 
-def _known_normals(shot: Shot) -> Cell:
+def _known_normals(shot: EvaluationSample) -> Cell:
     if shot.normal is None:
         return _NOTHING
     return "normals known", on_white(show_normals(_picture(shot.normal)), shot.mask[0].numpy())
 
 
-def _known_albedo(shot: Shot) -> Cell:
+def _known_albedo(shot: EvaluationSample) -> Cell:
     if shot.albedo is None:
         return _NOTHING
     mask = shot.mask[0].numpy()
     return "albedo known", on_white(show_albedo(_picture(shot.albedo), mask), mask)
 
 
-def _error(answer: Answer, index: int, shot: Shot) -> Pixels:
+def _error(answer: Prediction, index: int, shot: EvaluationSample) -> Pixels:
     assert shot.normal is not None
     angles = angles_deg(_picture(answer.normal[index]), _picture(shot.normal))
     return error_colours(np.where(shot.mask[0].numpy() > 0.5, angles, np.nan), DARKEST)
@@ -205,7 +208,7 @@ def _picture(planes: Tensor) -> Array:
     return np.moveaxis(np.nan_to_num(planes.double().numpy()), 0, -1)
 
 
-def leading(found: Sequence[Measured], networks: Sequence[str]) -> str:
+def leading_methods(found: Sequence[MethodErrors], networks: Sequence[str]) -> str:
     """The method whose pictures are shown: the network with the smallest error, or the best without any.
 
     Only those that were measured on the most photographs are asked, for fewer may be easier.
@@ -216,7 +219,7 @@ def leading(found: Sequence[Measured], networks: Sequence[str]) -> str:
     return min((m for m in chosen if len(m.images) == most), key=_shown_error).method
 
 
-def _shown_error(measured: Measured) -> float:
+def _shown_error(measured: MethodErrors) -> float:
     images = measured.images
     if images[0].normals is not None:
         return normal_statistics(images)["mean_deg"]
@@ -227,7 +230,7 @@ def _shown_error(measured: Measured) -> float:
     return float("inf")
 
 
-def shown_first(shots: Sequence[Shot]) -> list[Shot]:
+def first_samples(shots: Sequence[EvaluationSample]) -> list[EvaluationSample]:
     """A photograph in frontal light, and one of the same person in oblique light; or two people."""
     own = [shot for shot in shots if shot.subject == shots[0].subject and shot.direction is not None]
     if len(own) > 1:
@@ -236,7 +239,7 @@ def shown_first(shots: Sequence[Shot]) -> list[Shot]:
     return [shots[place] for place in spread_out(len(shots), 2)]
 
 
-def for_decomposition(shots: Sequence[Shot], most: int = 5) -> list[Shot]:
+def samples_for_decomposition(shots: Sequence[EvaluationSample], most: int = 5) -> list[EvaluationSample]:
     """Different people, spread evenly over the data; lights from frontal to harsh where they are known."""
     subjects = sorted({shot.subject for shot in shots})
     chosen = []
@@ -248,7 +251,7 @@ def for_decomposition(shots: Sequence[Shot], most: int = 5) -> list[Shot]:
     return chosen
 
 
-def for_transfer(images: Sequence[ImageErrors]) -> list[Pair]:
+def samples_for_transfer(images: Sequence[ImageErrors]) -> list[Pair]:
     """Pairs of two people: opposite lights, harsh against frontal light, from above against the side.
 
     Lights are the true ones where they are known, else those that the method found.
@@ -283,7 +286,7 @@ def for_transfer(images: Sequence[ImageErrors]) -> list[Pair]:
 def _best(
     wish: np.typing.NDArray[np.float64],
     usable: np.typing.NDArray[np.bool_],
-    shots: Sequence[Shot],
+    shots: Sequence[EvaluationSample],
     without: set[str],
 ) -> int:
     allowed = np.array([shot.subject not in without for shot in shots])
@@ -292,7 +295,9 @@ def _best(
     return int(np.argmax(wish))
 
 
-def _same(shots: Sequence[Shot], who: Shot, light: Shot) -> Shot | None:
+def _same(
+    shots: Sequence[EvaluationSample], who: EvaluationSample, light: EvaluationSample
+) -> EvaluationSample | None:
     """The photograph of one person under another's light."""
     for shot in shots:
         if shot.subject == who.subject and shot.light and shot.light == light.light:
@@ -300,6 +305,6 @@ def _same(shots: Sequence[Shot], who: Shot, light: Shot) -> Shot | None:
     return None
 
 
-def _direction(shot: Shot) -> np.typing.NDArray[np.float64]:
+def _direction(shot: EvaluationSample) -> np.typing.NDArray[np.float64]:
     assert shot.direction is not None
     return shot.direction

@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from sfsnet_dr.data.databases import multipie, yale_b
 from sfsnet_dr.data.databases.base import Listing
-from sfsnet_dr.data.normal_labels import SurfaceLabels
-from sfsnet_dr.experiments.evaluation.samples import SATURATED, Collection, Shot
+from sfsnet_dr.data.normal_labels import NormalLabels
+from sfsnet_dr.experiments.evaluation.samples import SATURATED, Collection, EvaluationSample
 
 Array = npt.NDArray[np.float64]
 
@@ -34,9 +34,9 @@ _SHINES: Final = 0.25
 _SURE: Final = 0.9
 
 
-def labelled(
+def labelled_samples(
     database: str,
-    faces: Sequence[SurfaceLabels],
+    faces: Sequence[NormalLabels],
     skipped: Mapping[str, str],
     lights: Sequence[str] | None = None,
     listing: Listing | None = None,
@@ -59,15 +59,15 @@ def labelled(
     return Collection(database, shots, TRUTH, FEW.get(database, ()), skipped, listing)
 
 
-def _shot(face: SurfaceLabels, row: int) -> Shot:
+def _shot(face: NormalLabels, row: int) -> EvaluationSample:
     direction = face.direction[row].double().numpy()
-    return Shot(
+    return EvaluationSample(
         name=face.files[row],
         subject=face.subject,
         capture=face.name,
         image=face.images[row],
         mask=face.mask,
-        shown=hull(face.mask[0].numpy()),
+        shown=convex_hull_mask(face.mask[0].numpy()),
         grey=face.image.shape[1] == 1,
         light=face.lights[row],
         direction=direction / np.linalg.norm(direction),
@@ -78,7 +78,7 @@ def _shot(face: SurfaceLabels, row: int) -> Shot:
     )
 
 
-def light_causes(face: SurfaceLabels, row: int) -> dict[str, float]:
+def light_causes(face: NormalLabels, row: int) -> dict[str, float]:
     """How the picture departs from a matt face without shadows, by the face's own normals and albedo.
 
     Percent of the skin turned away from the light, in a cast shadow, and shining or saturated; the light's
@@ -102,7 +102,7 @@ def light_causes(face: SurfaceLabels, row: int) -> dict[str, float]:
     }
 
 
-def hull(mask: npt.NDArray[np.floating]) -> Array:
+def convex_hull_mask(mask: npt.NDArray[np.floating]) -> Array:
     """The convex hull of a mask (H, W): all of a face that its photograph shows, eyes included, as 0 and 1.
 
     A crop's repeated borders lie outside of it.

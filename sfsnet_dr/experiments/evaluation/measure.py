@@ -18,8 +18,8 @@ from scipy.ndimage import binary_fill_holes, distance_transform_edt
 from sfsnet_dr.core.color import delta_e_2000
 from sfsnet_dr.core.conventions import EYE_DISTANCE, EYE_IMAGE_LEFT, EYE_IMAGE_RIGHT, FACE_SIZE
 from sfsnet_dr.core.errors import RunError
-from sfsnet_dr.experiments.evaluation.samples import Shot
-from sfsnet_dr.inference.methods import Answer, Method, OfCapture, for_capture
+from sfsnet_dr.experiments.evaluation.samples import EvaluationSample
+from sfsnet_dr.inference.methods import Method, PerImageSet, Prediction, method_for_image_set
 from sfsnet_dr.metrics.image import mae_8bit, rmse_8bit
 from sfsnet_dr.metrics.light import light_direction
 from sfsnet_dr.metrics.normals import angles_deg
@@ -90,7 +90,7 @@ class ImageErrors:
         light_deg: angle between the estimated and the true direction of light.
     """
 
-    shot: Shot = field(repr=False)
+    shot: EvaluationSample = field(repr=False)
     coefficients: Array = field(repr=False)
     normals: NormalSums | None = None
     albedo: float | None = None
@@ -122,7 +122,7 @@ class NormalSums:
 
 
 @dataclass(frozen=True)
-class Measured:
+class MethodErrors:
     """A method's errors, and how many photographs a second it answers."""
 
     method: str
@@ -130,21 +130,21 @@ class Measured:
     images_per_s: float
 
 
-def answers(method: Method, shots: Sequence[Shot]) -> Answer:
+def run_method(method: Method, shots: Sequence[EvaluationSample]) -> Prediction:
     """A method's answer for some photographs of one size."""
-    if isinstance(method, OfCapture):
-        return _joined([_answer(for_capture(method, shot.capture), [shot]) for shot in shots])
+    if isinstance(method, PerImageSet):
+        return _joined([_answer(method_for_image_set(method, shot.capture), [shot]) for shot in shots])
     return _answer(method, shots)
 
 
-def _answer(method: Method, shots: Sequence[Shot]) -> Answer:
+def _answer(method: Method, shots: Sequence[EvaluationSample]) -> Prediction:
     images, masks = (torch.stack([getattr(shot, name) for shot in shots]) for name in ("image", "mask"))
     with torch.no_grad():
         return method(images, masks, [shot.subject for shot in shots])
 
 
-def _joined(parts: Sequence[Answer]) -> Answer:
-    return Answer(
+def _joined(parts: Sequence[Prediction]) -> Prediction:
+    return Prediction(
         torch.cat([part.normal for part in parts]),
         torch.cat([part.albedo for part in parts]),
         torch.cat([part.light for part in parts]),
@@ -153,9 +153,9 @@ def _joined(parts: Sequence[Answer]) -> Answer:
     )
 
 
-def measure(
-    method: Method, shots: Sequence[Shot], on_batch: Callable[[int], object] = lambda count: None
-) -> Measured:
+def measure_methods(
+    method: Method, shots: Sequence[EvaluationSample], on_batch: Callable[[int], object] = lambda count: None
+) -> MethodErrors:
     """Put every photograph to a method.
 
     Args:
@@ -171,18 +171,18 @@ def measure(
         RunError: if an answer is not finite.
     """
     found, seconds = [], 0.0
-    answers(method, shots[:1])
+    run_method(method, shots[:1])
     for begin in range(0, len(shots), BATCH):
         part = shots[begin : begin + BATCH]
         start = time.perf_counter()
-        answer = answers(method, part)
+        answer = run_method(method, part)
         seconds += time.perf_counter() - start
         found += [_errors(method.name, shot, answer, index) for index, shot in enumerate(part)]
         on_batch(len(part))
-    return Measured(method.name, found, len(found) / max(seconds, 1e-9))
+    return MethodErrors(method.name, found, len(found) / max(seconds, 1e-9))
 
 
-def _errors(method: str, shot: Shot, answer: Answer, index: int) -> ImageErrors:
+def _errors(method: str, shot: EvaluationSample, answer: Prediction, index: int) -> ImageErrors:
     mask = shot.mask[0].numpy() > 0.5
     normal, albedo, image = (
         _pixels(part[index], mask) for part in (answer.normal, answer.albedo, answer.image)
@@ -212,13 +212,13 @@ def _errors(method: str, shot: Shot, answer: Answer, index: int) -> ImageErrors:
     )
 
 
-def _where_sure(albedo: Array, shot: Shot, mask: npt.NDArray[np.bool_]) -> float | None:
+def _where_sure(albedo: Array, shot: EvaluationSample, mask: npt.NDArray[np.bool_]) -> float | None:
     if shot.albedo is None or shot.sure is None or not (shot.sure & mask).any():
         return None
     return scaled_rms(albedo[shot.sure[mask]], _pixels(shot.albedo, mask & shot.sure))
 
 
-def _sums(normal: Array, shot: Shot, mask: npt.NDArray[np.bool_]) -> NormalSums:
+def _sums(normal: Array, shot: EvaluationSample, mask: npt.NDArray[np.bool_]) -> NormalSums:
     assert shot.normal is not None
     angles = angles_deg(normal, _pixels(shot.normal, mask))
     below = [float((angles < limit).sum()) for limit in LIMITS]

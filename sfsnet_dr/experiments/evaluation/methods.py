@@ -22,12 +22,12 @@ from sfsnet_dr.core.errors import InputError, nearest
 from sfsnet_dr.data.alignment import canonical_landmarks
 from sfsnet_dr.data.databases.base import FacePhoto, Listing
 from sfsnet_dr.data.photos import find_landmarks, read_landmarks
-from sfsnet_dr.experiments.evaluation.samples import Shot
-from sfsnet_dr.experiments.evaluation.splits import fine_tuned, fold_suffix
+from sfsnet_dr.experiments.evaluation.samples import EvaluationSample
+from sfsnet_dr.experiments.evaluation.splits import fine_tuning_split, fold_suffix
 from sfsnet_dr.inference.baselines import MeanAlbedo, MeanNormals, ModelFit, OneAlbedo, ShadingSearch
 from sfsnet_dr.inference.methods import FlatNormals, Method, NetworkMethod
 from sfsnet_dr.models.shipped import weights_name
-from sfsnet_dr.report.record import dotted
+from sfsnet_dr.report.record import dotted_word
 from sfsnet_dr.scene.faces.linear_model import load_face_modes
 
 Array = npt.NDArray[np.float64]
@@ -37,7 +37,7 @@ _FRONTAL: Final = float(np.cos(np.radians(25)))
 
 
 @dataclass(frozen=True)
-class Wanted:
+class RequestedMethod:
     """What the command line asks for.
 
     Args:
@@ -56,7 +56,7 @@ class Wanted:
 
 
 def methods_for(
-    shots: Sequence[Shot], wanted: Wanted, listing: Listing | None = None
+    shots: Sequence[EvaluationSample], wanted: RequestedMethod, listing: Listing | None = None
 ) -> tuple[list[Method], dict[str, str]]:
     """The baselines, then a network for each file of weights, named by the file or its folder.
 
@@ -93,9 +93,9 @@ def methods_for(
                 raise InputError(f"{name}: {error}") from error
             left_out[name] = str(error)
     for path in wanted.weights:
-        name = dotted(weights_name(path))
+        name = dotted_word(weights_name(path))
         network = NetworkMethod(name, path, once=wanted.once)
-        split = fine_tuned(network)
+        split = fine_tuning_split(network)
         if split is not None:
             network.name = name + fold_suffix(split)
         _add(methods, network, str(path))
@@ -108,14 +108,14 @@ def _add(methods: list[Method], method: Method, source: str) -> None:
     methods.append(method)
 
 
-def _mean_albedo(shots: Sequence[Shot]) -> MeanAlbedo:
+def _mean_albedo(shots: Sequence[EvaluationSample]) -> MeanAlbedo:
     colours = _by_subject(shots, "albedo")
     return MeanAlbedo(
         _by_subject(shots, "normal"), {name: each.mean(0, keepdim=True) for name, each in colours.items()}
     )
 
 
-def _by_subject(shots: Sequence[Shot], kind: Literal["normal", "albedo"]) -> dict[str, Tensor]:
+def _by_subject(shots: Sequence[EvaluationSample], kind: Literal["normal", "albedo"]) -> dict[str, Tensor]:
     """Maps that are known, means of each subject over its captures, 0 outside of their masks."""
     captures: dict[str, dict[str, Tensor]] = {}
     for shot in shots:
@@ -125,7 +125,9 @@ def _by_subject(shots: Sequence[Shot], kind: Literal["normal", "albedo"]) -> dic
     return {name: torch.stack(list(each.values())).mean(0) for name, each in captures.items() if each}
 
 
-def _model_fit(shots: Sequence[Shot], wanted: Wanted, listing: Listing | None) -> ModelFit:
+def _model_fit(
+    shots: Sequence[EvaluationSample], wanted: RequestedMethod, listing: Listing | None
+) -> ModelFit:
     if listing is None:
         raise InputError(
             "labels do not say where the photographs have the eyes; evaluate the database itself"

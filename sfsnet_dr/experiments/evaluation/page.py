@@ -8,25 +8,31 @@ from typing import Final
 
 import numpy as np
 
-from sfsnet_dr.experiments.evaluation.failure_cases import SHARE, Extremes, examples, extremes
+from sfsnet_dr.experiments.evaluation.failure_cases import SHARE, Extremes, example_rows, find_extremes
 from sfsnet_dr.experiments.evaluation.gallery import (
-    decompositions,
-    for_decomposition,
-    for_transfer,
-    leading,
-    ranked,
-    shown_first,
+    decomposition_rows,
+    first_samples,
+    leading_methods,
+    light_transfer_rows,
+    rank_samples,
+    samples_for_decomposition,
+    samples_for_transfer,
     side_by_side,
-    transfers,
 )
-from sfsnet_dr.experiments.evaluation.measure import REGIONS, Measured
-from sfsnet_dr.experiments.evaluation.records import BINS, bin_name, classified, region_name, tables
+from sfsnet_dr.experiments.evaluation.measure import REGIONS, MethodErrors
+from sfsnet_dr.experiments.evaluation.records import (
+    BINS,
+    bin_name,
+    light_classification,
+    region_name,
+    result_tables,
+)
 from sfsnet_dr.experiments.evaluation.samples import Collection
-from sfsnet_dr.experiments.evaluation.splits import shown_together, told, without_folds
+from sfsnet_dr.experiments.evaluation.splits import provenance_notes, shown_together, without_folds
 from sfsnet_dr.inference.methods import Method, NetworkMethod
 from sfsnet_dr.report.html import Block, Figure, Section, Table, write_page
 from sfsnet_dr.report.plots import lines_by_group
-from sfsnet_dr.report.record import Record, dotted
+from sfsnet_dr.report.record import Record, dotted_word
 
 #: Rows of what was left out that the page shows; the records count all.
 _SHOWN: Final = 40
@@ -48,20 +54,20 @@ def write_pages(
     collection: Collection,
     methods: Sequence[Method],
     names: Sequence[str],
-    found: Sequence[Measured],
+    found: Sequence[MethodErrors],
     records: Sequence[Record],
 ) -> None:
     """Write ``index.html`` into a folder; ``names`` are the tables' rows."""
     networks = [method.name for method in methods if isinstance(method, NetworkMethod)]
-    lead = leading(found, networks)
+    lead = leading_methods(found, networks)
     place = [method.name for method in methods].index(lead)
     method, measured = methods[place], found[place]
     sections = [
         Section(
             "In numbers",
             [
-                *tables(collection.data, names, records),
-                *told(methods, collection),
+                *result_tables(collection.data, names, records),
+                *provenance_notes(methods, collection),
                 *_notes(collection, found),
             ],
         )
@@ -95,9 +101,9 @@ def _number(count: int, what: str) -> str:
     return f"{count:,} {what}{'' if count == 1 else 's'}"
 
 
-def _notes(collection: Collection, found: Sequence[Measured]) -> list[Block]:
+def _notes(collection: Collection, found: Sequence[MethodErrors]) -> list[Block]:
     lit = [e for e in found[0].images if e.shot.light]
-    _, alone = classified(lit) if lit else ([], [])
+    _, alone = light_classification(lit) if lit else ([], [])
     if not alone:
         return []
     return [
@@ -109,9 +115,12 @@ def _by_group(data: str, names: Sequence[str], records: Sequence[Record]) -> lis
     values = {record.what: record.value for record in records}
 
     def lines(keys: Sequence[str]) -> dict[str, list[float | None]]:
-        return alike_as_one(
+        return merge_equal_methods(
             {
-                name: [values.get(f"{dotted(data)}.{dotted(name)}.normals.{key}.mean_deg") for key in keys]
+                name: [
+                    values.get(f"{dotted_word(data)}.{dotted_word(name)}.normals.{key}.mean_deg")
+                    for key in keys
+                ]
                 for name in names
             }
         )
@@ -136,7 +145,7 @@ def _by_group(data: str, names: Sequence[str], records: Sequence[Record]) -> lis
     return found
 
 
-def alike_as_one(lines: Mapping[str, list[float | None]]) -> dict[str, list[float | None]]:
+def merge_equal_methods(lines: Mapping[str, list[float | None]]) -> dict[str, list[float | None]]:
     """Lines by name, those that lie on each other under all their names: methods may share their normals."""
     names: dict[tuple[float | None, ...], list[str]] = {}
     for name, values in lines.items():
@@ -145,7 +154,7 @@ def alike_as_one(lines: Mapping[str, list[float | None]]) -> dict[str, list[floa
 
 
 def _pictures(
-    collection: Collection, methods: Sequence[Method], method: Method, measured: Measured
+    collection: Collection, methods: Sequence[Method], method: Method, measured: MethodErrors
 ) -> list[Section]:
     shots = collection.shots
     sections = [
@@ -153,7 +162,7 @@ def _pictures(
             "Side by side",
             [
                 Figure(
-                    side_by_side(methods, shown_first(shots)),
+                    side_by_side(methods, first_samples(shots)),
                     "Photographs, what is known of them, and each method's normals (with its name), albedo "
                     "and reconstruction (left out where it is the photograph by construction).",
                 )
@@ -163,38 +172,40 @@ def _pictures(
             "Taken apart and relit",
             [
                 Figure(
-                    decompositions(method, for_decomposition(shots)),
+                    decomposition_rows(method, samples_for_decomposition(shots)),
                     f"{method.name}: shading, albedo and relit views are each as bright as fits the picture.",
                 )
             ],
         ),
     ]
-    pairs = for_transfer(measured.images)
+    pairs = samples_for_transfer(measured.images)
     if pairs:
         sections.append(
             Section(
                 "Light transfer",
                 [
                     Figure(
-                        transfers(method, pairs),
+                        light_transfer_rows(method, pairs),
                         f"{method.name}: two people exchange their lights: opposite sides, harsh against "
                         "frontal, from above against from the side. Order-2 light casts no shadows.",
                     )
                 ],
             )
         )
-    extreme = extremes(measured.images)
+    extreme = find_extremes(measured.images)
     if extreme is not None:
         sections.append(Section("Best and worst", _extremes(method, measured, extreme)))
     return sections
 
 
-def _extremes(method: Method, measured: Measured, found: Extremes) -> list[Block]:
+def _extremes(method: Method, measured: MethodErrors, found: Extremes) -> list[Block]:
     share = f"{100 * SHARE:.0f} %"
     what = "of normals" if found.unit == "deg" else "of the reconstruction (RMSE)"
     blocks: list[Block] = [
         Figure(
-            ranked(method, examples(part, _EXAMPLES), found.unit, found.causes if word == "worst" else ()),
+            rank_samples(
+                method, example_rows(part, _EXAMPLES), found.unit, found.causes if word == "worst" else ()
+            ),
             f"{method.name}: examples out of the {word} {share} by the error {what}"
             + (
                 ". Below the last picture: what is furthest from its mean over all photographs, on the side "

@@ -15,12 +15,12 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from sfsnet_dr.experiments.evaluation.measure import REGIONS, ImageErrors, Measured
+from sfsnet_dr.experiments.evaluation.measure import REGIONS, ImageErrors, MethodErrors
 from sfsnet_dr.experiments.evaluation.samples import Collection
-from sfsnet_dr.metrics.bootstrap import interval
+from sfsnet_dr.metrics.bootstrap import bootstrap_interval
 from sfsnet_dr.metrics.light import class_ranks
 from sfsnet_dr.report.html import Table
-from sfsnet_dr.report.record import Record, dotted, measured
+from sfsnet_dr.report.record import Record, dotted_word, make_record
 
 Array = npt.NDArray[np.float64]
 
@@ -46,7 +46,7 @@ def bin_name(low: int, high: int) -> str:
 
 def region_name(region: str) -> str:
     """How a region of the face is called in records."""
-    return f"region_{dotted(region)}"
+    return f"region_{dotted_word(region)}"
 
 
 def normal_statistics(images: Sequence[ImageErrors]) -> dict[str, float]:
@@ -61,25 +61,25 @@ def _statistics(sums: Array) -> dict[str, float]:
     return {"mean_deg": mean, "std_deg": float(np.sqrt(max(squares / pixels - mean**2, 0))), **shares}
 
 
-def counts_of(collection: Collection, command: str) -> list[Record]:
+def sample_counts(collection: Collection, command: str) -> list[Record]:
     """``<data>.{images,subjects,skipped}``: what was measured, and what could not be."""
-    head = dotted(collection.data)
+    head = dotted_word(collection.data)
     numbers = {
         "images": (len(collection.shots), "photographs"),
         "subjects": (len(collection.subjects), "people"),
         "skipped": (len(collection.skipped), "files or captures"),
     }
     return [
-        measured(f"{head}.{name}", value, unit, command=command) for name, (value, unit) in numbers.items()
+        make_record(f"{head}.{name}", value, unit, command=command) for name, (value, unit) in numbers.items()
     ]
 
 
-def records_of(collection: Collection, found: Measured, command: str) -> list[Record]:
+def evaluation_records(collection: Collection, found: MethodErrors, command: str) -> list[Record]:
     """``<data>.<method>.{normals,albedo,recon,lights,lights64,images_per_s}``, as far as they are known."""
-    head = f"{dotted(collection.data)}.{dotted(found.method)}"
+    head = f"{dotted_word(collection.data)}.{dotted_word(found.method)}"
 
     def one(name: str, value: float, unit: str, ends: tuple[float, float] | None = None) -> Record:
-        return measured(f"{head}.{name}", value, unit, command=command, interval=ends)
+        return make_record(f"{head}.{name}", value, unit, command=command, interval=ends)
 
     records = _normals(one, found.images)
     for name, field, unit in _MEANS:
@@ -88,7 +88,7 @@ def records_of(collection: Collection, found: Measured, command: str) -> list[Re
             values = [getattr(e, field) for e in images]
             records.append(one(name, float(np.mean(values)), unit, _ends(images, values)))
     few = [e for e in found.images if e.shot.light in collection.few]
-    if len({e.shot.light for e in classified(few)[0]}) == len(collection.few):
+    if len({e.shot.light for e in light_classification(few)[0]}) == len(collection.few):
         records += _classes(one, "lights", few)
     records += _classes(one, "lights64", [e for e in found.images if e.shot.light])
     return [*records, one("images_per_s", found.images_per_s, "images/s")]
@@ -110,7 +110,7 @@ def _normals(one: _One, every: Sequence[ImageErrors]) -> list[Record]:
             def statistic(drawn: Array, key: str = key) -> float:
                 return _statistics(drawn.sum(0))[key]
 
-            ends = tuple(interval(sums, statistic))
+            ends = tuple(bootstrap_interval(sums, statistic))
         found.append(one(f"normals.{key}", value, "degrees" if key.endswith("deg") else "%", ends))
     for low, high in BINS:
         part = [e for e in images if (angle := angle_of(e)) is not None and low <= angle < high]
@@ -131,7 +131,7 @@ def angle_of(errors: ImageErrors) -> float | None:
     return None if direction is None else float(np.degrees(np.arccos(np.clip(direction[2], -1, 1))))
 
 
-def classified(images: Sequence[ImageErrors]) -> tuple[list[ImageErrors], list[str]]:
+def light_classification(images: Sequence[ImageErrors]) -> tuple[list[ImageErrors], list[str]]:
     """The photographs that can be classified, and the lights that cannot: seen with one subject only."""
     who = defaultdict(set)
     for e in images:
@@ -141,7 +141,7 @@ def classified(images: Sequence[ImageErrors]) -> tuple[list[ImageErrors], list[s
 
 
 def _classes(one: _One, name: str, every: Sequence[ImageErrors]) -> list[Record]:
-    images, _ = classified(every)
+    images, _ = light_classification(every)
     if len({e.shot.light for e in images}) < 2:
         return []
     ranks = class_ranks(
@@ -160,7 +160,7 @@ def _ends(images: Sequence[ImageErrors], values: npt.ArrayLike) -> tuple[float, 
     sums = by_subject(images, np.stack([numbers, np.ones_like(numbers)], 1))
     if len(sums) < 2:
         return None
-    low, high = interval(sums, lambda drawn: float(drawn[:, 0].sum() / drawn[:, 1].sum()))
+    low, high = bootstrap_interval(sums, lambda drawn: float(drawn[:, 0].sum() / drawn[:, 1].sum()))
     return low, high
 
 
@@ -244,7 +244,7 @@ LAYOUTS: Final = (
 )
 
 
-def tables(data: str, names: Sequence[str], records: Sequence[Record]) -> list[Table]:
+def result_tables(data: str, names: Sequence[str], records: Sequence[Record]) -> list[Table]:
     """Every table that has numbers, with the columns that do; a dash where a method has none."""
     values = {record.what: record.value for record in records}
     found = []
@@ -264,7 +264,7 @@ def tables(data: str, names: Sequence[str], records: Sequence[Record]) -> list[T
 def csv_text(data: str, names: Sequence[str], records: Sequence[Record]) -> str:
     """All numbers of all methods: a row a method, a column a record, empty where there is none."""
     values = {record.what: record.value for record in records}
-    heads = [f"{dotted(data)}.{dotted(name)}." for name in names]
+    heads = [f"{dotted_word(data)}.{dotted_word(name)}." for name in names]
     columns = list(
         dict.fromkeys(what.removeprefix(h) for what in values for h in heads if what.startswith(h))
     )
@@ -278,7 +278,7 @@ def csv_text(data: str, names: Sequence[str], records: Sequence[Record]) -> str:
 
 
 def _key(data: str, name: str, what: str) -> str:
-    return f"{dotted(data)}.{dotted(name)}.{what}"
+    return f"{dotted_word(data)}.{dotted_word(name)}.{what}"
 
 
 def _cell(value: float | None, digits: int) -> str:

@@ -14,17 +14,22 @@ from typing import Final
 
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.core.files import output_dir, write_text
-from sfsnet_dr.data.databases.registry import recognise
-from sfsnet_dr.experiments.evaluation.collect import KINDS, Amount, collect
-from sfsnet_dr.experiments.evaluation.measure import measure
-from sfsnet_dr.experiments.evaluation.methods import Wanted, methods_for
+from sfsnet_dr.data.databases.registry import recognise_database
+from sfsnet_dr.experiments.evaluation.collect import KINDS, Amount, collect_samples
+from sfsnet_dr.experiments.evaluation.measure import measure_methods
+from sfsnet_dr.experiments.evaluation.methods import RequestedMethod, methods_for
 from sfsnet_dr.experiments.evaluation.page import TITLES, lead_text, write_pages
-from sfsnet_dr.experiments.evaluation.records import counts_of, csv_text, records_of, tables
+from sfsnet_dr.experiments.evaluation.records import (
+    csv_text,
+    evaluation_records,
+    result_tables,
+    sample_counts,
+)
 from sfsnet_dr.experiments.evaluation.samples import Collection
-from sfsnet_dr.experiments.evaluation.splits import cross_validated, strangers, unseen
+from sfsnet_dr.experiments.evaluation.splits import cross_validated, is_heldout, unseen_subjects
 from sfsnet_dr.inference.methods import Method
 from sfsnet_dr.models.shipped import SHIPPED, weights_path
-from sfsnet_dr.report.console import bar
+from sfsnet_dr.report.console import progress_bar
 from sfsnet_dr.report.html import Block, Link, Section, write_page
 from sfsnet_dr.report.record import Record, write_records
 
@@ -42,10 +47,10 @@ def evaluate(
         command: for the records.
     """
     folder = output_dir(out)
-    records = counts_of(collection, command)
-    theirs = {method.name: unseen([method], collection) for method in methods}
+    records = sample_counts(collection, command)
+    theirs = {method.name: unseen_subjects([method], collection) for method in methods}
     found, names = [], []
-    with bar("measuring", sum(len(part.shots) for part in theirs.values())) as advance:
+    with progress_bar("measuring", sum(len(part.shots) for part in theirs.values())) as advance:
         for method in methods:
             names.append(method.name)
 
@@ -53,14 +58,14 @@ def evaluate(
                 for _ in range(count):
                     advance()
 
-            found.append(measure(method, theirs[method.name].shots, on_batch))
-            records += records_of(theirs[method.name], found[-1], command)
-            apart = strangers(method, found[-1])
+            found.append(measure_methods(method, theirs[method.name].shots, on_batch))
+            records += evaluation_records(theirs[method.name], found[-1], command)
+            apart = is_heldout(method, found[-1])
             if apart is not None:
-                records += records_of(collection, apart, command)
+                records += evaluation_records(collection, apart, command)
                 names.append(apart.method)
     for whole in cross_validated(methods, found):
-        records += records_of(collection, whole, command)
+        records += evaluation_records(collection, whole, command)
         names.append(whole.method)
     write_records(folder / "records.json", records)
     write_text(folder / "table.csv", csv_text(collection.data, names, records))
@@ -85,11 +90,11 @@ def find_data(folder: Path, faces: Sequence[Path] = ()) -> list[tuple[str, list[
         raise InputError(f"{folder}: no such folder; a folder of face data is needed")
     found: dict[str, list[Path]] = {"synthetic": list(faces)}
     parts = sorted(path for path in folder.iterdir() if path.is_dir())
-    own = recognise(folder)
-    if own == "folder" and {recognise(part) for part in parts} - {None, "folder"}:
+    own = recognise_database(folder)
+    if own == "folder" and {recognise_database(part) for part in parts} - {None, "folder"}:
         own = None  # photographs beside other data, and no folder of folders of photographs
     for place in parts if own is None else [folder]:
-        kind = recognise(place)
+        kind = recognise_database(place)
         if kind in _ORDER:
             found.setdefault(kind, []).append(place)
     for kind, several in found.items():
@@ -104,7 +109,7 @@ def find_data(folder: Path, faces: Sequence[Path] = ()) -> list[tuple[str, list[
 
 
 def evaluate_all(
-    folder: Path, faces: Sequence[Path], wanted: Wanted, out: Path, amount: Amount, command: str
+    folder: Path, faces: Sequence[Path], wanted: RequestedMethod, out: Path, amount: Amount, command: str
 ) -> tuple[list[Record], dict[str, str]]:
     """Evaluate each kind of data into a folder of its name, and write a page and the records of all.
 
@@ -131,12 +136,12 @@ def evaluate_all(
     left_out: dict[str, str] = {}
     sections = []
     for kind, folders in data:
-        collection = collect(kind, folders, amount)
+        collection = collect_samples(kind, folders, amount)
         methods, missing = methods_for(collection.shots, wanted, collection.listing)
         left_out |= {f"{kind}: {name}": reason for name, reason in missing.items()}
         own = evaluate(collection, methods, target / kind, command)
         names = [method.name for method in methods]
-        blocks: list[Block] = [lead_text(collection, names), *tables(collection.data, names, own)]
+        blocks: list[Block] = [lead_text(collection, names), *result_tables(collection.data, names, own)]
         link = Link(f"{kind}/index.html", f"All of {kind}: figures, pictures, what was left out")
         sections.append(Section(f"On {TITLES.get(collection.data, kind)}", [*blocks, link]))
         records += own

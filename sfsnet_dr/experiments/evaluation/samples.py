@@ -22,7 +22,7 @@ SATURATED: Final = 0.98
 
 
 @dataclass(frozen=True, eq=False)
-class Shot:
+class EvaluationSample:
     """One photograph in the canonical frame, S pixels wide, and its truth as far as it is known.
 
     Attributes:
@@ -76,7 +76,7 @@ class Collection:
     """
 
     data: str
-    shots: Sequence[Shot]
+    shots: Sequence[EvaluationSample]
     truth: str
     few: tuple[str, ...] = ()
     skipped: Mapping[str, str] = field(default_factory=dict)

@@ -13,24 +13,24 @@ from dataclasses import replace
 
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.data.normal_dataset import IdentitySplit, read_split
-from sfsnet_dr.experiments.evaluation.measure import Measured
+from sfsnet_dr.experiments.evaluation.measure import MethodErrors
 from sfsnet_dr.experiments.evaluation.samples import Collection
 from sfsnet_dr.inference.methods import Method, NetworkMethod
 
 
-def fine_tuned(method: Method) -> IdentitySplit | None:
+def fine_tuning_split(method: Method) -> IdentitySplit | None:
     """The identity split of a network that was trained with somebody's true normals."""
     split = _split(method)
     return None if split is None or split.lamps_by else split
 
 
-def unseen(methods: Sequence[Method], collection: Collection) -> Collection:
+def unseen_subjects(methods: Sequence[Method], collection: Collection) -> Collection:
     """The photographs of subjects that none of the methods has learnt the normals of, by their names.
 
     Raises:
         InputError: if nobody is left.
     """
-    splits = {method.name: split for method in methods if (split := fine_tuned(method)) is not None}
+    splits = {method.name: split for method in methods if (split := fine_tuning_split(method)) is not None}
     learnt = {subject for split in splits.values() for subject in split.learnt}
     if not learnt.intersection(collection.subjects):
         return collection
@@ -43,7 +43,7 @@ def unseen(methods: Sequence[Method], collection: Collection) -> Collection:
     return replace(collection, shots=shots)
 
 
-def strangers(method: Method, found: Measured) -> Measured | None:
+def is_heldout(method: Method, found: MethodErrors) -> MethodErrors | None:
     """What was measured on those whose pictures a network has not seen; None if it has seen all or none."""
     split = _split(method)
     if split is None or not split.lamps_by:
@@ -54,16 +54,16 @@ def strangers(method: Method, found: Measured) -> Measured | None:
     return replace(found, method=f"{found.method}-strangers", images=images)
 
 
-def cross_validated(methods: Sequence[Method], found: Sequence[Measured]) -> list[Measured]:
+def cross_validated(methods: Sequence[Method], found: Sequence[MethodErrors]) -> list[MethodErrors]:
     """Everybody by the network that was not told their normals, where all folds of a fine-tuning are there.
 
     Folds belong together if their methods' names differ in the fold alone. Photographs a second are those of
     all folds' photographs. Other databases than the one they learnt from, where each fold is measured on
     everybody, are not pooled.
     """
-    groups: dict[tuple[str, int], dict[int, Measured]] = {}
+    groups: dict[tuple[str, int], dict[int, MethodErrors]] = {}
     for method, measured in zip(methods, found, strict=True):
-        split = fine_tuned(method)
+        split = fine_tuning_split(method)
         if split is not None:
             name = measured.method.removesuffix(fold_suffix(split))
             groups.setdefault((name, split.folds), {})[split.fold] = measured
@@ -72,7 +72,7 @@ def cross_validated(methods: Sequence[Method], found: Sequence[Measured]) -> lis
         images = [errors for part in parts.values() for errors in part.images]
         if len(parts) == folds > 1 and len({errors.shot for errors in images}) == len(images):
             seconds = sum(len(part.images) / part.images_per_s for part in parts.values())
-            pooled.append(Measured(f"{name}-all{folds}folds", images, len(images) / seconds))
+            pooled.append(MethodErrors(f"{name}-all{folds}folds", images, len(images) / seconds))
     return pooled
 
 
@@ -96,18 +96,18 @@ def shown_together(
         if method is first:
             continue
         try:
-            unseen([*chosen, method], collection)
+            unseen_subjects([*chosen, method], collection)
         except InputError:
             continue
         chosen.append(method)
-    return [method for method in methods if method in chosen], unseen(chosen, collection)
+    return [method for method in methods if method in chosen], unseen_subjects(chosen, collection)
 
 
-def told(methods: Sequence[Method], collection: Collection) -> list[str]:
+def provenance_notes(methods: Sequence[Method], collection: Collection) -> list[str]:
     """A sentence for each method that has seen some of the subjects before."""
     notes = []
     for method in methods:
-        split, left = _split(method), unseen([method], collection)
+        split, left = _split(method), unseen_subjects([method], collection)
         if split is not None and left is not collection:
             by_sight = sorted(set(split.seen).intersection(left.subjects))
             notes.append(

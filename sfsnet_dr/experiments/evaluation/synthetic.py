@@ -13,9 +13,9 @@ from sfsnet_dr.data.dataset import Faces, RelitFaces, load_faces
 from sfsnet_dr.data.manifest import Manifest
 from sfsnet_dr.data.transforms.background import Augmentation
 from sfsnet_dr.data.transforms.camera import PhotoOptions
-from sfsnet_dr.experiments.evaluation.samples import Collection, Shot, picture_causes
+from sfsnet_dr.experiments.evaluation.samples import Collection, EvaluationSample, picture_causes
 from sfsnet_dr.metrics.light import light_direction
-from sfsnet_dr.scene.lights.cache import draw_bank
+from sfsnet_dr.scene.lights.cache import draw_lights
 
 NAME: Final = "synthetic"
 TRUTH: Final = (
@@ -33,7 +33,7 @@ _LIGHTS: Final = 256
 _BATCH: Final = 10
 
 
-def synthetic(
+def synthetic_samples(
     folders: Sequence[Path], most: int, on_picture: Callable[[], object] = lambda: None
 ) -> Collection:
     """Pictures of the bundles that training holds back, each face as often as another.
@@ -47,10 +47,10 @@ def synthetic(
     held_back = min(HELD_BACK, (known - 1) // 2)
     faces = load_faces(folders, held_back=max(held_back, 0), held=held_back > 0)
     count = min(most, _PICTURES * len(faces))
-    bank = draw_bank(OPTIONS.light, _LIGHTS, _SEED)
+    bank = draw_lights(OPTIONS.light, _LIGHTS, _SEED)
     size = min(_BATCH, count)
     source = RelitFaces(faces, size, OPTIONS, _SEED, bank)
-    shots: list[Shot] = []
+    shots: list[EvaluationSample] = []
     for step in range(-(-count // size)):
         batch, indices = source.batch(step), source.indices(step)
         for row in range(min(size, count - len(shots))):
@@ -59,14 +59,14 @@ def synthetic(
     return Collection(NAME, shots, TRUTH)
 
 
-def _shot(faces: Faces, index: int, batch: FaceBatch, row: int, number: int) -> Shot:
+def _shot(faces: Faces, index: int, batch: FaceBatch, row: int, number: int) -> EvaluationSample:
     light = batch.light[row].double().numpy()
     image, mask = batch.image[row], batch.mask[row]
     direction = light_direction(light[None])[0]
     angle = float(np.degrees(np.arccos(np.clip(direction[2], -1, 1))))
     normal = batch.normal[row].numpy()[:, mask[0].numpy() > 0.5].mean(1)
     turned = float(np.degrees(np.arctan2(np.hypot(normal[0], normal[1]), normal[2])))
-    return Shot(
+    return EvaluationSample(
         name=f"{faces.names[index]}-{number}",
         subject=faces.names[index],
         capture=faces.names[index],

@@ -15,7 +15,7 @@ from sfsnet_dr.data.alignment import canonical_landmarks
 from sfsnet_dr.data.databases import celeba
 from sfsnet_dr.data.databases.base import FacePhoto, Listing, read_face
 from sfsnet_dr.experiments.evaluation.labelled import FEW
-from sfsnet_dr.experiments.evaluation.samples import Collection, Shot, picture_causes
+from sfsnet_dr.experiments.evaluation.samples import Collection, EvaluationSample, picture_causes
 
 PHOTOGRAPHS: Final = (
     "No truth is known but the photograph itself, which the reconstruction should give again."
@@ -25,7 +25,9 @@ LIGHTS: Final = "The lights are those of the rig; nothing else is asked of a met
 _NOSE_TIP: Final = 30
 
 
-def photographs(listing: Listing, most: int, on_photo: Callable[[], object] = lambda: None) -> Collection:
+def photograph_samples(
+    listing: Listing, most: int, on_photo: Callable[[], object] = lambda: None
+) -> Collection:
     """Photographs to reconstruct: of CelebA the test part, of a folder those that training keeps back first.
 
     Args:
@@ -40,7 +42,7 @@ def photographs(listing: Listing, most: int, on_photo: Callable[[], object] = la
     return _read(listing, chosen, PHOTOGRAPHS, on_photo)
 
 
-def lit(
+def under_lights(
     listing: Listing, lights: Sequence[str] | None = None, on_photo: Callable[[], object] = lambda: None
 ) -> Collection:
     """Photographs whose lights are known, to be classified; those without a light are left out.
@@ -78,7 +80,7 @@ def _read(
     return Collection(listing.database, shots, truth, FEW.get(listing.database, ()), skipped, listing)
 
 
-def _shot(photo: FacePhoto, linear: bool) -> Shot:
+def _shot(photo: FacePhoto, linear: bool) -> EvaluationSample:
     face = read_face(photo, linear)
     image = torch.from_numpy(np.ascontiguousarray(np.moveaxis(face.image, -1, 0)))
     mask = torch.from_numpy(face.mask[None])
@@ -87,7 +89,7 @@ def _shot(photo: FacePhoto, linear: bool) -> Shot:
         points = canonical_landmarks(photo.points)
         middle = (points[36:48, 0].mean(), points[_NOSE_TIP, 0])
         causes["turned (nose's shift)"] = 100 * float(abs(middle[1] - middle[0])) / EYE_DISTANCE
-    return Shot(
+    return EvaluationSample(
         name=photo.name,
         subject=photo.subject,
         capture=photo.capture,

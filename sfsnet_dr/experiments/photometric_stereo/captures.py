@@ -16,7 +16,7 @@ Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Capture:
+class ImageSet:
     """One face in the canonical frame.
 
     Attributes:
@@ -42,14 +42,14 @@ class Capture:
         """Names of the lamps."""
         return tuple(photo.light for photo in self.photos)
 
-    def only(self, chosen: Sequence[bool]) -> Capture:
+    def only(self, chosen: Sequence[bool]) -> ImageSet:
         """Some of its photographs."""
         photos = tuple(photo for photo, keep in zip(self.photos, chosen, strict=True) if keep)
-        return Capture(self.name, photos, self.images[np.array(chosen, bool)], self.mask)
+        return ImageSet(self.name, photos, self.images[np.array(chosen, bool)], self.mask)
 
 
 @dataclass(frozen=True, eq=False)
-class Captures:
+class ImageSets:
     """All captures of a database that can be read.
 
     Attributes:
@@ -59,11 +59,11 @@ class Captures:
     """
 
     listing: Listing
-    faces: tuple[Capture, ...]
+    faces: tuple[ImageSet, ...]
     skipped: dict[str, str]
 
 
-def read_captures(listing: Listing, on_capture: Callable[[], Any] = lambda: None) -> Captures:
+def read_image_sets(listing: Listing, on_capture: Callable[[], Any] = lambda: None) -> ImageSets:
     """Bring all photographs to the canonical frame; those that cannot be read are told in ``skipped``.
 
     Args:
@@ -78,10 +78,10 @@ def read_captures(listing: Listing, on_capture: Callable[[], Any] = lambda: None
         except InputError as error:
             skipped[name] = str(error)
         on_capture()
-    return Captures(listing, tuple(faces), skipped)
+    return ImageSets(listing, tuple(faces), skipped)
 
 
-def _read(name: str, photos: Sequence[FacePhoto], linear: bool, skipped: dict[str, str]) -> Capture:
+def _read(name: str, photos: Sequence[FacePhoto], linear: bool, skipped: dict[str, str]) -> ImageSet:
     used, images, masks = [], [], []
     for photo in photos:
         try:
@@ -96,4 +96,4 @@ def _read(name: str, photos: Sequence[FacePhoto], linear: bool, skipped: dict[st
         raise InputError("none of its photographs can be used")
     if len({image.shape for image in images}) > 1:
         raise InputError("grey and coloured pictures are mixed")
-    return Capture(name, tuple(used), np.array(images, np.float64), np.min(masks, axis=0).astype(np.float64))
+    return ImageSet(name, tuple(used), np.array(images, np.float64), np.min(masks, axis=0).astype(np.float64))

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sfsnet_dr.data.databases.base import frontal_mask, heading
-from sfsnet_dr.estimation.light_intensities import Shots, estimate_strobes
+from sfsnet_dr.estimation.light_intensities import LightImages, estimate_light_intensities
 from sfsnet_dr.estimation.photometric_stereo import photometric_stereo
 from sfsnet_dr.metrics.normals import angles_deg
 from sfsnet_dr.render.aovs import TransportOptions, render_aovs
@@ -43,7 +43,7 @@ _RIG: Final = {
 }
 
 
-def rig() -> Array:
+def light_rig() -> Array:
     """The 64 directions toward the lamps, (64, 3)."""
     found = [
         heading(side * azimuth, elevation)
@@ -94,7 +94,7 @@ def check_on_rendered_faces(
         "faces", "anny", camera=CameraSpec(size=size), head=HeadSpec(yaw=5.0, pitch=5.0, roll=0.0)
     )
     spec = replace(spec, camera=replace(spec.camera, size=size))
-    lights = rig()
+    lights = light_rig()
     errors: dict[int, list[list[float]]] = {count: [] for count in COUNTS}
     for seed in seeds:
         images, normal, mask = _render(spec, seed, lights, samples)
@@ -102,7 +102,9 @@ def check_on_rendered_faces(
             chosen = spread_out(lights, count)
             names = tuple(str(light) for light in chosen)
             pixels = images[chosen].mean(-1)[:, mask].T
-            gains = estimate_strobes([Shots(pixels, lights[chosen], names)]).gains(names, lights[chosen])
+            gains = estimate_light_intensities([LightImages(pixels, lights[chosen], names)]).gains(
+                names, lights[chosen]
+            )
             found = [photometric_stereo(images[chosen], lights[chosen], g) for g in (gains, np.ones(count))]
             errors[count].append([float(angles_deg(f.normal, normal)[mask].mean()) for f in found])
         on_face()

@@ -18,13 +18,13 @@ from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.core.files import output_dir
 from sfsnet_dr.core.visualize import on_white, show_albedo, show_linear, show_normals
 from sfsnet_dr.data.databases.base import Listing
-from sfsnet_dr.data.normal_labels import SurfaceLabels, write_index, write_surface
-from sfsnet_dr.estimation.light_intensities import Shots, Strobes, estimate_strobes
+from sfsnet_dr.data.normal_labels import NormalLabels, write_index, write_normal_labels
+from sfsnet_dr.estimation.light_intensities import LightImages, LightIntensities, estimate_light_intensities
 from sfsnet_dr.estimation.photometric_stereo import FEWEST, Surface, photometric_stereo, unit_directions
-from sfsnet_dr.experiments.photometric_stereo.captures import Capture, Captures
-from sfsnet_dr.metrics.bootstrap import interval
+from sfsnet_dr.experiments.photometric_stereo.captures import ImageSet, ImageSets
+from sfsnet_dr.metrics.bootstrap import bootstrap_interval
 from sfsnet_dr.metrics.normals import angles_deg
-from sfsnet_dr.report.record import Record, dotted, measured
+from sfsnet_dr.report.record import Record, dotted_word, make_record
 
 Array = npt.NDArray[np.float64]
 
@@ -35,7 +35,7 @@ _SAMPLED: Final = 350
 
 
 @dataclass(frozen=True, eq=False)
-class Labelled:
+class LabelledSet:
     """What came out.
 
     Attributes:
@@ -48,21 +48,21 @@ class Labelled:
         skipped: photographs and captures that are not in it, with the reason.
     """
 
-    labels: list[SurfaceLabels]
+    labels: list[NormalLabels]
     halves: list[float]
     raw_halves: list[float]
     kept: list[float]
-    strobes: Strobes
+    strobes: LightIntensities
     skipped: dict[str, str] = field(default_factory=dict)
 
 
-def label_surfaces(
-    read: Captures,
+def compute_normal_labels(
+    read: ImageSets,
     out: Path | str | None = None,
     *,
     halves: bool = True,
     on_capture: Callable[[], object] = lambda: None,
-) -> Labelled:
+) -> LabelledSet:
     """Photometric stereo of every capture with at least four known lights.
 
     Args:
@@ -83,8 +83,8 @@ def label_surfaces(
     if not captures:
         first = next(iter(skipped.items()), ("it", "no lights known"))
         raise InputError(f"{listing.folder}: no capture with {FEWEST} usable lights; {first[0]}: {first[1]}")
-    strobes = estimate_strobes([_shots(capture) for capture in captures])
-    result = Labelled([], [], [], [], strobes, skipped)
+    strobes = estimate_light_intensities([_shots(capture) for capture in captures])
+    result = LabelledSet([], [], [], [], strobes, skipped)
     folder = None if out is None else output_dir(out)
     written = {}
     for capture in captures:
@@ -100,20 +100,20 @@ def label_surfaces(
         result.halves.append(_halves(capture, gains, sure) if halves else float("nan"))
         result.raw_halves.append(_halves(capture, np.ones_like(gains), sure) if halves else float("nan"))
         if folder is not None:
-            written[labels.name] = {"subject": labels.subject, "sha256": write_surface(folder, labels)}
+            written[labels.name] = {"subject": labels.subject, "sha256": write_normal_labels(folder, labels)}
         on_capture()
     if not result.labels:
         raise InputError(f"{listing.folder}: no capture gave normals that are sure; are its lights right?")
     if folder is not None:
         told = {"oblique": strobes.oblique, "strength": dict(strobes.strength), "lamps_by": listing.lamps_by}
         write_index(folder, listing.database, told, written, skipped)
-        (folder / "sheet.png").write_bytes(surface_sheet(result.labels))
+        (folder / "sheet.png").write_bytes(normal_label_sheet(result.labels))
     return result
 
 
-def surface_sheet(labels: Sequence[SurfaceLabels], most: int = 12) -> bytes:
+def normal_label_sheet(labels: Sequence[NormalLabels], most: int = 12) -> bytes:
     """Normals, albedo and confidence of some captures, as one PNG."""
-    from sfsnet_dr.inference.sheet import sheet
+    from sfsnet_dr.inference.sheet import draw_sheet
 
     cells = []
     for face in labels[:: max(1, len(labels) // most)][:most]:
@@ -127,10 +127,10 @@ def surface_sheet(labels: Sequence[SurfaceLabels], most: int = 12) -> bytes:
             "confidence": show_linear(sure),
         }
         cells += [(f"{face.name}: {what}", on_white(picture, mask)) for what, picture in pictures.items()]
-    return sheet(cells, columns=6)
+    return draw_sheet(cells, columns=6)
 
 
-def _usable(capture: Capture) -> Capture:
+def _usable(capture: ImageSet) -> ImageSet:
     """The photographs whose lamp is known.
 
     Raises:
@@ -143,14 +143,14 @@ def _usable(capture: Capture) -> Capture:
     return known
 
 
-def _shots(capture: Capture) -> Shots:
+def _shots(capture: ImageSet) -> LightImages:
     pixels = np.flatnonzero(capture.mask > 0.5)
     chosen = pixels[:: max(1, len(pixels) // _SAMPLED)]
     values = capture.images.mean(-1).reshape(len(capture.photos), -1)[:, chosen].T
-    return Shots(values, capture.directions, capture.lamps)
+    return LightImages(values, capture.directions, capture.lamps)
 
 
-def _halves(capture: Capture, gains: Array, mask: Array) -> float:
+def _halves(capture: ImageSet, gains: Array, mask: Array) -> float:
     """Mean angle between the answers of every second light, in order of azimuth, and the others."""
     if len(capture.photos) < 2 * FEWEST:
         return float("nan")
@@ -166,11 +166,11 @@ def _halves(capture: Capture, gains: Array, mask: Array) -> float:
     return float(angles_deg(first.normal, second.normal)[mask > 0.5].mean())
 
 
-def _labels(capture: Capture, surface: Surface, mask: Array, gains: Array) -> SurfaceLabels:
+def _labels(capture: ImageSet, surface: Surface, mask: Array, gains: Array) -> NormalLabels:
     def tensor(values: Array) -> torch.Tensor:
         return torch.from_numpy(np.ascontiguousarray(values, np.float32))
 
-    return SurfaceLabels(
+    return NormalLabels(
         name=capture.name,
         subject=capture.photos[0].subject,
         lights=capture.lamps,
@@ -186,16 +186,16 @@ def _labels(capture: Capture, surface: Surface, mask: Array, gains: Array) -> Su
     )
 
 
-def label_records(listing: Listing, found: Labelled, command: str) -> list[Record]:
+def label_records(listing: Listing, found: LabelledSet, command: str) -> list[Record]:
     """``stereo.<database>.*``: captures, agreement of halves, gains, skipped files.
 
     ``halves_deg`` is the mean angle between the normals of two disjoint halves of each capture's lights,
     ``halves_equal_lamps_deg`` the same with all gains at 1; intervals are over captures.
     """
-    head = f"stereo.{dotted(listing.database)}"
+    head = f"stereo.{dotted_word(listing.database)}"
 
     def one(name: str, value: float, unit: str, ends: tuple[float, float] | None = None) -> Record:
-        return measured(f"{head}.{name}", value, unit, command=command, interval=ends)
+        return make_record(f"{head}.{name}", value, unit, command=command, interval=ends)
 
     records = [one("captures", len(found.labels), "1"), one("skipped", len(found.skipped), "1")]
     sets = {"halves_deg": found.halves, "halves_equal_lamps_deg": found.raw_halves}
@@ -212,15 +212,15 @@ def label_records(listing: Listing, found: Labelled, command: str) -> list[Recor
     return records
 
 
-def lamp_records(listing: Listing, errors: Mapping[str, float], command: str) -> list[Record]:
+def light_records(listing: Listing, errors: Mapping[str, float], command: str) -> list[Record]:
     """``stereo.<database>.lamps_found`` and ``lamps_found_deg``, the mean angle to where they are known."""
-    head, values = f"stereo.{dotted(listing.database)}", list(errors.values())
+    head, values = f"stereo.{dotted_word(listing.database)}", list(errors.values())
     found = len({photo.light for photo in listing.photos if photo.direction is not None})
-    records = [measured(f"{head}.lamps_found", found, "1", command=command)]
+    records = [make_record(f"{head}.lamps_found", found, "1", command=command)]
     if values:
         mean = float(np.mean(values))
         records.append(
-            measured(f"{head}.lamps_found_deg", mean, "degrees", command=command, interval=_ends(values))
+            make_record(f"{head}.lamps_found_deg", mean, "degrees", command=command, interval=_ends(values))
         )
     return records
 
@@ -231,7 +231,7 @@ def check_records(errors: Mapping[int, Array], command: str) -> list[Record]:
     ``stereo.rendered.lights<N>.equal_lamps_deg`` is the same without estimating gains, which here are equal.
     """
     return [
-        measured(
+        make_record(
             f"stereo.rendered.lights{count}.{name}",
             float(values.mean()),
             "degrees",
@@ -244,4 +244,4 @@ def check_records(errors: Mapping[int, Array], command: str) -> list[Record]:
 
 
 def _ends(values: Sequence[float]) -> tuple[float, float] | None:
-    return tuple(interval(values)) if len(values) > 1 else None  # type: ignore[return-value]
+    return tuple(bootstrap_interval(values)) if len(values) > 1 else None  # type: ignore[return-value]

@@ -14,10 +14,10 @@ import torch
 from sfsnet_dr.data.databases.base import FacePhoto, Listing
 from sfsnet_dr.data.dataset import Folders
 from sfsnet_dr.data.normal_labels import head_normals, mean_normals
-from sfsnet_dr.estimation.bas_relief import usual_slopes, vertical_stretch
-from sfsnet_dr.estimation.light_calibration import Guess, Lamps, find_lamps
+from sfsnet_dr.estimation.bas_relief import resolve_bas_relief_scale, vertical_scale_from_integrability
+from sfsnet_dr.estimation.light_calibration import CalibratedLights, InitialNormals, calibrate_lights
 from sfsnet_dr.estimation.photometric_stereo import FEWEST, fit_pixels, is_valid
-from sfsnet_dr.experiments.photometric_stereo.captures import Capture, Captures
+from sfsnet_dr.experiments.photometric_stereo.captures import ImageSet, ImageSets
 from sfsnet_dr.inference.methods import NetworkMethod
 from sfsnet_dr.metrics.light import light_direction
 from sfsnet_dr.metrics.normals import angles_deg
@@ -34,12 +34,12 @@ _HEADS: Final = 300
 _ROUNDS: Final = 3
 
 
-def with_found_lamps(
-    read: Captures,
+def calibrate_image_sets(
+    read: ImageSets,
     weights: Path | str,
     heads: Folders = (),
     on_capture: Callable[[], object] = lambda: None,
-) -> Captures:
+) -> ImageSets:
     """The photographs with the directions that ``fit.self_calibration`` finds; none is read from the listing.
 
     Args:
@@ -64,14 +64,16 @@ def with_found_lamps(
         if named.photos:
             guesses.append(_guess(method, named, usual))
         on_capture()
-    found = find_lamps(guesses)
+    found = calibrate_lights(guesses)
     known = list(head_normals(heads, _HEADS)) if heads else []
-    usual_stretch = vertical_stretch(known) if known else 1.0  # what noise, folds and edges make of it
+    usual_stretch = (
+        vertical_scale_from_integrability(known) if known else 1.0
+    )  # what noise, folds and edges make of it
     for _ in range(_ROUNDS):
-        down = vertical_stretch([_normals(face, found) for face in read.faces])
+        down = vertical_scale_from_integrability([_normals(face, found) for face in read.faces])
         found = found.for_stretched(1.0, down / usual_stretch)
     if known:
-        deeper = usual_slopes([_normals(face, found) for face in read.faces], known)
+        deeper = resolve_bas_relief_scale([_normals(face, found) for face in read.faces], known)
         found = found.for_stretched(deeper, deeper)
 
     def placed(photo: FacePhoto) -> FacePhoto:
@@ -85,10 +87,10 @@ def with_found_lamps(
         if photo.light in found.lost
     }
     listing = replace(read.listing, photos=photos, lamps_by=method.name)
-    return Captures(listing, faces, read.skipped | lost)
+    return ImageSets(listing, faces, read.skipped | lost)
 
 
-def _guess(method: NetworkMethod, capture: Capture, usual: torch.Tensor | None) -> Guess:
+def _guess(method: NetworkMethod, capture: ImageSet, usual: torch.Tensor | None) -> InitialNormals:
     """What a network says of one capture."""
     images = torch.from_numpy(np.moveaxis(capture.images, -1, 1)).float().expand(-1, 3, -1, -1)
     mask = torch.from_numpy(capture.mask).float()
@@ -100,7 +102,7 @@ def _guess(method: NetworkMethod, capture: Capture, usual: torch.Tensor | None) 
     pixels = torch.nonzero(mask.flatten() > 0.5)[:, 0]
     pixels = pixels[:: max(1, len(pixels) // _SAMPLED)]
     mean = normal.flatten(1)[:, pixels].T.double().numpy()
-    return Guess(
+    return InitialNormals(
         values=images.mean(1).flatten(1)[:, pixels].T.double().numpy(),
         lamps=capture.lamps,
         normal=mean / np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-9),
@@ -109,7 +111,7 @@ def _guess(method: NetworkMethod, capture: Capture, usual: torch.Tensor | None) 
     )
 
 
-def _normals(capture: Capture, lamps: Lamps) -> tuple[Array, npt.NDArray[np.bool_]]:
+def _normals(capture: ImageSet, lamps: CalibratedLights) -> tuple[Array, npt.NDArray[np.bool_]]:
     """Normals times albedo of a whole capture by lamps that were found, and where they are known."""
     used = capture.only([lamp in lamps.direction for lamp in capture.lamps])
     skin = used.mask > 0.5
@@ -130,7 +132,7 @@ def _direction(found: Mapping[str, Array], lamp: str) -> tuple[float, float, flo
     return x, y, z
 
 
-def lamp_errors(known: Listing, found: Listing) -> dict[str, float]:
+def light_direction_errors(known: Listing, found: Listing) -> dict[str, float]:
     """Angle between the direction that a database tells and the one that was found, degrees, by lamp."""
     told = {photo.light: photo.direction for photo in known.photos if photo.direction is not None}
     return {

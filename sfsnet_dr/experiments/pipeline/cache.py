@@ -18,9 +18,9 @@ from sfsnet_dr.data.normal_labels import INDEX as SURFACES_INDEX
 from sfsnet_dr.data.photos import PhotoSource
 from sfsnet_dr.data.pseudo_labels import MANIFEST as LABELS_MANIFEST
 from sfsnet_dr.data.pseudo_labels import Values
-from sfsnet_dr.report.console import bar
+from sfsnet_dr.report.console import progress_bar
 from sfsnet_dr.scene.spec import SceneSpec
-from sfsnet_dr.train.checkpoint import differences
+from sfsnet_dr.train.checkpoint import find_differences
 from sfsnet_dr.train.config import Recipe
 from sfsnet_dr.train.pseudo_label import pseudo_label
 from sfsnet_dr.train.run import CHECKPOINT, WEIGHTS
@@ -59,7 +59,7 @@ def render_missing(
     there = len(listed.intersection(wanted))
     tell("rendered before" if there == count else f"rendering {count - there}")
     if there < count:
-        with bar("rendering faces", count, there) as advance:
+        with progress_bar("rendering faces", count, there) as advance:
 
             def after(_: int) -> None:
                 on_face()
@@ -70,7 +70,7 @@ def render_missing(
 
 def label_photographs(source: PhotoSource, weights: Path, folder: Path, values: Values | None = None) -> None:
     """Let a network label photographs, with a bar; see ``fit.pseudo_label``."""
-    with bar("labelling photographs", len(source.train)) as advance:
+    with progress_bar("labelling photographs", len(source.train)) as advance:
 
         def on_shard(count: int) -> None:
             for _ in range(count):
@@ -113,7 +113,7 @@ def train_once(
         wanted |= {"surfaces": sha256(surfaces / SURFACES_INDEX), "start": sha256(start)}
     note = folder / DONE
     if note.is_file() and (folder / WEIGHTS).is_file():
-        for where, found, asked in differences(json.loads(note.read_text(encoding="utf-8")), wanted):
+        for where, found, asked in find_differences(json.loads(note.read_text(encoding="utf-8")), wanted):
             raise InputError(
                 f"{note}: {where} = {found!r} found, {asked!r} asked for; choose another --out, or remove "
                 f"{folder} to train it anew"

@@ -9,9 +9,9 @@ from typing import Final
 
 from sfsnet_dr.core.config import load_toml
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.data.normal_dataset import load_learnt
+from sfsnet_dr.data.normal_dataset import load_training_subjects
 from sfsnet_dr.scene.spec import SceneSpec, load_scene, refuse_light
-from sfsnet_dr.train.config import Recipe, lit_by, read_recipe
+from sfsnet_dr.train.config import Recipe, read_recipe, with_environments
 
 #: Networks in the order in which they are trained; photographs are labelled by the first, before the second.
 NETWORKS: Final = ("skipnet-syn", "sfsnet", "sfsnet-syn", "skipnet-plus")
@@ -123,10 +123,12 @@ def read_plan(
             "--photographs DIR, or --rendered-photographs to let rendered faces stand in for them"
         )
     folder = path.parent / spec.recipes
-    recipes = {name: lit_by(read_recipe(folder / f"{name}.toml"), environments) for name in NETWORKS}
+    recipes = {
+        name: with_environments(read_recipe(folder / f"{name}.toml"), environments) for name in NETWORKS
+    }
     if surfaces is not None:
-        recipes[FINE_TUNED] = lit_by(read_recipe(folder / f"{FINE_TUNED}.toml"), environments)
-        load_learnt(surfaces, recipes[FINE_TUNED].surfaces, recipes[FINE_TUNED].data.view)
+        recipes[FINE_TUNED] = with_environments(read_recipe(folder / f"{FINE_TUNED}.toml"), environments)
+        load_training_subjects(surfaces, recipes[FINE_TUNED].surfaces, recipes[FINE_TUNED].data.view)
     _check_alike(folder, recipes)
     scene = SceneSpec("faces", "anny") if spec.scene is None else _load_scene(path.parent / spec.scene)
     return Plan(spec, recipes, scene, Path(out), tuple(data), photographs, surfaces)

@@ -20,13 +20,13 @@ from sfsnet_dr.data.dataset import Faces, RelitFaces
 from sfsnet_dr.data.photos import PhotoSet
 from sfsnet_dr.data.pseudo_labels import Values, as_network_input
 from sfsnet_dr.data.transforms.background import Augmentation
-from sfsnet_dr.metrics.bootstrap import interval
+from sfsnet_dr.metrics.bootstrap import bootstrap_interval
 from sfsnet_dr.metrics.normals import angular_error_deg
 from sfsnet_dr.models.base import NetworkOutput
 from sfsnet_dr.models.inference import LoadedModel, predict_with_flip_tta
 from sfsnet_dr.render.shading_torch import f_render
-from sfsnet_dr.report.record import Record, measured
-from sfsnet_dr.scene.lights.cache import draw_bank
+from sfsnet_dr.report.record import Record, make_record
+from sfsnet_dr.scene.lights.cache import draw_lights
 
 Numbers = dict[str, NDArray[np.float64]]
 
@@ -47,39 +47,39 @@ UNITS: Final = {
 }
 
 
-def held_batch(faces: Faces, augmentation: Augmentation, count: int) -> FaceBatch:
+def holdout_batch(faces: Faces, augmentation: Augmentation, count: int) -> FaceBatch:
     """``count`` photographs of held-back faces, the same for every network, each face as often as another."""
-    return held_pictures(faces, augmentation, count).batch(0)
+    return holdout_faces(faces, augmentation, count).batch(0)
 
 
-def held_pictures(faces: Faces, augmentation: Augmentation, count: int) -> RelitFaces:
-    """The sequence whose batch 0 ``held_batch`` is, and whose ``indices(0)`` say which face each shows."""
-    bank = draw_bank(augmentation.light, min(_LIGHTS, augmentation.lights), _SEED)
+def holdout_faces(faces: Faces, augmentation: Augmentation, count: int) -> RelitFaces:
+    """The sequence whose batch 0 ``holdout_batch`` is, and whose ``indices(0)`` say which face each shows."""
+    bank = draw_lights(augmentation.light, min(_LIGHTS, augmentation.lights), _SEED)
     return RelitFaces(faces, count, augmentation, _SEED, bank)
 
 
-def on_rendered(trained: LoadedModel, truth: FaceBatch) -> Numbers:
+def rendered_errors(trained: LoadedModel, truth: FaceBatch) -> Numbers:
     """Errors of each image against its truth, on the mask.
 
     ``normals``: mean angle, and the share of pixels below 20 and 30 degrees. ``albedo.mae``: mean absolute
     error, and ``mae_scaled`` after the best factor for each image, which no photograph tells from the light's
     strength. ``light.relative``: length of the error of the 27 coefficients over that of the coefficients.
-    ``recon``: see ``on_photographs``.
+    ``recon``: see ``photograph_errors``.
     """
     answer = predict_with_flip_tta(trained.model, truth.image)
     rows = [_truth_errors(answer, truth, index) for index in range(len(truth.image))]
     numbers = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    return numbers | reconstruction(answer, truth.image, truth.mask, trained.values)
+    return numbers | reconstruction_errors(answer, truth.image, truth.mask, trained.values)
 
 
-def on_photographs(trained: LoadedModel, photographs: PhotoSet) -> Numbers:
+def photograph_errors(trained: LoadedModel, photographs: PhotoSet) -> Numbers:
     """``recon.mae`` and ``recon.rmse`` of each photograph, 8-bit sRGB units on its mask."""
     image = as_network_input(photographs.images, trained.values)
     answer = predict_with_flip_tta(trained.model, image)
-    return reconstruction(answer, image, photographs.masks.float() / 255, trained.values)
+    return reconstruction_errors(answer, image, photographs.masks.float() / 255, trained.values)
 
 
-def reconstruction(answer: NetworkOutput, image: Tensor, mask: Tensor, values: Values) -> Numbers:
+def reconstruction_errors(answer: NetworkOutput, image: Tensor, mask: Tensor, values: Values) -> Numbers:
     """Mean absolute and root-mean-square difference of reconstructions and images, one number an image.
 
     Both are clipped to [0, 1] and encoded, or left as they are where values are display-referred; they are
@@ -95,15 +95,15 @@ def reconstruction(answer: NetworkOutput, image: Tensor, mask: Tensor, values: V
     return {"recon.mae": mae.numpy(), "recon.rmse": rmse.numpy()}
 
 
-def records_of(numbers: Numbers, of: str, network: str, command: str) -> list[Record]:
+def error_records(numbers: Numbers, of: str, network: str, command: str) -> list[Record]:
     """``OF.NAME.NETWORK`` for each number."""
     return [
-        measured(
+        make_record(
             f"{of}.{name}.{network}",
             float(values.mean()),
             UNITS[name],
             command=command,
-            interval=interval(values) if len(values) > 1 else None,
+            interval=bootstrap_interval(values) if len(values) > 1 else None,
             seed=_SEED,
         )
         for name, values in numbers.items()
@@ -133,6 +133,6 @@ def _masked_mean(values: Tensor, mask: Tensor) -> float:
     return float((mask * values).sum() / (len(values) * mask.sum()).clamp_min(1e-9))
 
 
-def find(records: Sequence[Record], what: str) -> Record | None:
+def find_record(records: Sequence[Record], what: str) -> Record | None:
     """The record of a name, if there is one."""
     return next((record for record in records if record.what == what), None)

@@ -17,22 +17,22 @@ from sfsnet_dr.data.batch import FaceBatch
 from sfsnet_dr.data.dataset import load_faces
 from sfsnet_dr.data.photos import PhotoSet, PhotoSource
 from sfsnet_dr.data.pseudo_labels import MANIFEST
-from sfsnet_dr.data.transforms.crop import View
-from sfsnet_dr.experiments.evaluation.collect import Amount, collect
-from sfsnet_dr.experiments.evaluation.methods import Wanted, methods_for
+from sfsnet_dr.data.transforms.crop import Crop
+from sfsnet_dr.experiments.evaluation.collect import Amount, collect_samples
+from sfsnet_dr.experiments.evaluation.methods import RequestedMethod, methods_for
 from sfsnet_dr.experiments.evaluation.run import evaluate
-from sfsnet_dr.experiments.evaluation.splits import unseen
+from sfsnet_dr.experiments.evaluation.splits import unseen_subjects
 from sfsnet_dr.experiments.pipeline.config import FINE_TUNED, FINE_TUNED_FROM, NETWORKS, Plan
 from sfsnet_dr.experiments.pipeline.holdout_split import (
     Numbers,
-    held_batch,
-    on_photographs,
-    on_rendered,
-    records_of,
+    error_records,
+    holdout_batch,
+    photograph_errors,
+    rendered_errors,
 )
 from sfsnet_dr.models.inference import LoadedModel, load_model
-from sfsnet_dr.report.console import bar
-from sfsnet_dr.report.record import Record, measured
+from sfsnet_dr.report.console import progress_bar
+from sfsnet_dr.report.record import Record, make_record
 from sfsnet_dr.train.logging import read_history
 from sfsnet_dr.train.run import HISTORY, WEIGHTS
 
@@ -67,22 +67,22 @@ class Outcome:
     records: tuple[Record, ...]
 
 
-def measure(plan: Plan, source: PhotoSource, command: str) -> Outcome:
+def measure_networks(plan: Plan, source: PhotoSource, command: str) -> Outcome:
     """Load and measure every network of a plan whose stages are done."""
     trained = {name: load_model(plan.folder / name / WEIGHTS) for name in NETWORKS}
     histories = {name: read_history(plan.folder / name / HISTORY) for name in NETWORKS}
     data = plan.first.data
     held = load_faces(plan.faces, data.view, held_back=data.held_back, held=True)
-    truth = held_batch(held, data, plan.spec.pictures)
-    photographs = source.load(source.held, View(truth.image.shape[-1], data.crop))
+    truth = holdout_batch(held, data, plan.spec.pictures)
+    photographs = source.load(source.held, Crop(truth.image.shape[-1], data.crop))
     records: list[Record] = []
     errors = {}
     kind = PHOTOGRAPHS[source.rendered]
-    with bar("measuring networks", len(trained)) as advance:
+    with progress_bar("measuring networks", len(trained)) as advance:
         for name, network in trained.items():
-            errors[name] = on_photographs(network, photographs)
-            records += records_of(on_rendered(network, truth), "synthetic", name, command)
-            records += records_of(errors[name], kind, name, command)
+            errors[name] = photograph_errors(network, photographs)
+            records += error_records(rendered_errors(network, truth), "synthetic", name, command)
+            records += error_records(errors[name], kind, name, command)
             records += _of_training(name, histories[name], plan.recipes[name].batch_size, command)
             advance()
     labels: dict[str, Any] = json.loads((plan.labels / MANIFEST).read_text(encoding="utf-8"))
@@ -91,7 +91,7 @@ def measure(plan: Plan, source: PhotoSource, command: str) -> Outcome:
         "skipped": len(labels["skipped"]),
         "held_back": len(photographs),
     }
-    records += [measured(f"pseudo_label.{n}", count, kind, command=command) for n, count in counts.items()]
+    records += [make_record(f"pseudo_label.{n}", count, kind, command=command) for n, count in counts.items()]
     return Outcome(plan, source, trained, histories, truth, photographs, errors, labels, tuple(records))
 
 
@@ -114,7 +114,7 @@ def _of_training(name: str, history: list[dict[str, Any]], batch_size: int, comm
         "loss": (final, "1"),
     }
     return [
-        measured(f"stages.{key}.{name}", value, unit, command=command)
+        make_record(f"stages.{key}.{name}", value, unit, command=command)
         for key, (value, unit) in values.items()
     ]
 
@@ -122,6 +122,8 @@ def _of_training(name: str, history: list[dict[str, Any]], batch_size: int, comm
 def measure_fine_tuned(plan: Plan, surfaces: Path, command: str) -> list[Record]:
     """Measure both networks and the baselines on the held-back subjects, into ``sfsnet-ft/held-back``."""
     weights = tuple(plan.folder / name / WEIGHTS for name in (FINE_TUNED_FROM, FINE_TUNED))
-    collection = collect("labels", [surfaces], Amount())
-    methods, _ = methods_for(collection.shots, Wanted(weights=weights), collection.listing)
-    return evaluate(unseen(methods, collection), methods, plan.folder / FINE_TUNED / "held-back", command)
+    collection = collect_samples("labels", [surfaces], Amount())
+    methods, _ = methods_for(collection.shots, RequestedMethod(weights=weights), collection.listing)
+    return evaluate(
+        unseen_subjects(methods, collection), methods, plan.folder / FINE_TUNED / "held-back", command
+    )

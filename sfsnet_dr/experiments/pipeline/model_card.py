@@ -17,7 +17,12 @@ from sfsnet_dr.data.dataset import load_faces
 from sfsnet_dr.data.generate import synthesize
 from sfsnet_dr.data.photos import photo_folder
 from sfsnet_dr.data.transforms.background import Augmentation
-from sfsnet_dr.experiments.pipeline.holdout_split import held_batch, on_photographs, on_rendered, records_of
+from sfsnet_dr.experiments.pipeline.holdout_split import (
+    error_records,
+    holdout_batch,
+    photograph_errors,
+    rendered_errors,
+)
 from sfsnet_dr.models.inference import LoadedModel, load_model
 from sfsnet_dr.models.shipped import FOLDER, weights_name
 from sfsnet_dr.report.record import Record, read_records
@@ -84,10 +89,12 @@ def measure_shipped(
     records: list[Record] = []
     for name, trained in networks.items():
         wanted = Augmentation(size=trained.view.size, crop=trained.view.crop)
-        truth = held_batch(load_faces(folder, trained.view), wanted, PICTURES)
-        records += records_of(on_rendered(trained, truth), "synthetic", name, command)
+        truth = holdout_batch(load_faces(folder, trained.view), wanted, PICTURES)
+        records += error_records(rendered_errors(trained, truth), "synthetic", name, command)
         if source is not None:
-            records += records_of(on_photographs(trained, shown[trained.view]), "photographs", name, command)
+            records += error_records(
+                photograph_errors(trained, shown[trained.view]), "photographs", name, command
+            )
     return records
 
 
@@ -106,7 +113,7 @@ def card_records(name: str) -> list[Record]:
     return read_records(FOLDER / f"{name}.json")
 
 
-def compare(records: Sequence[Record], card: Sequence[Record]) -> list[Comparison]:
+def compare_with_card(records: Sequence[Record], card: Sequence[Record]) -> list[Comparison]:
     """Each record beside the card's number of the same name."""
     known = {record.what: record.value for record in card}
     return [Comparison(record, known.get(record.what)) for record in records]

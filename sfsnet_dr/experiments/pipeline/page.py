@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 from sfsnet_dr.core.color_torch import srgb_to_linear
 from sfsnet_dr.core.visualize import Pixels, on_white, show_encoded, show_linear, show_normals
 from sfsnet_dr.data.photos import PhotoSource
-from sfsnet_dr.data.pseudo_labels import decoded, load_pseudo_labels
-from sfsnet_dr.data.transforms.crop import View
+from sfsnet_dr.data.pseudo_labels import decode_labels, load_pseudo_labels
+from sfsnet_dr.data.transforms.crop import Crop
 from sfsnet_dr.experiments.pipeline.config import NETWORKS, Plan
-from sfsnet_dr.experiments.pipeline.holdout_split import find
-from sfsnet_dr.experiments.pipeline.measure import PHOTOGRAPHS, Outcome, measure, training_seconds
+from sfsnet_dr.experiments.pipeline.holdout_split import find_record
+from sfsnet_dr.experiments.pipeline.measure import PHOTOGRAPHS, Outcome, measure_networks, training_seconds
 from sfsnet_dr.inference.decompose import run_network
-from sfsnet_dr.inference.outputs import pictures
+from sfsnet_dr.inference.outputs import decomposition_pictures
 from sfsnet_dr.inference.photograph import Photograph
-from sfsnet_dr.inference.sheet import SheetStyle, sheet
+from sfsnet_dr.inference.sheet import SheetStyle, draw_sheet
 from sfsnet_dr.render.shading_torch import shading
 from sfsnet_dr.report.html import Block, Figure, KeyNumbers, Note, Section, Table, write_page
 from sfsnet_dr.report.plots import loss_curve
-from sfsnet_dr.report.record import Record, all_numbers, measured, write_records
+from sfsnet_dr.report.record import Record, all_numbers, make_record, write_records
 
 #: MAE and RMSE of reconstructions of CelebA's test faces, 8-bit units (Sengupta et al., tables 4 and 5).
 PAPER = {
@@ -50,10 +50,10 @@ _STYLE = SheetStyle(cell=128, gap=14, margin=20, label=24, title=44)
 _QUANTILES = {"one of the best 5 %": 0.05, "the median": 0.5, "one of the worst 5 %": 0.95}
 
 
-def finish(plan: Plan, source: PhotoSource, command: str, begin: float) -> list[Record]:
+def write_results(plan: Plan, source: PhotoSource, command: str, begin: float) -> list[Record]:
     """Measure all networks, and write ``records.json`` and ``index.html``."""
-    outcome = measure(plan, source, command)
-    seconds = measured("stages.seconds", time.perf_counter() - begin, "s", command=command)
+    outcome = measure_networks(plan, source, command)
+    seconds = make_record("stages.seconds", time.perf_counter() - begin, "s", command=command)
     records = [*outcome.records, seconds]
     write_records(plan.folder / "records.json", records)
     sections = [
@@ -93,8 +93,8 @@ def _summary(outcome: Outcome) -> Section:
         "albedo: mean absolute error; light: error over length of the coefficients) and over "
         f"{len(outcome.photographs)} held-back {shown} (reconstruction, 8-bit units)."
     )
-    best = find(outcome.records, f"{kind}.recon.mae.sfsnet")
-    angle = find(outcome.records, "synthetic.normals.mean_deg.sfsnet")
+    best = find_record(outcome.records, f"{kind}.recon.mae.sfsnet")
+    angle = find_record(outcome.records, "synthetic.normals.mean_deg.sfsnet")
     assert best is not None
     assert angle is not None
     minutes = sum(
@@ -124,7 +124,7 @@ def _summary(outcome: Outcome) -> Section:
 
 def _pseudo_labels(outcome: Outcome) -> Section:
     labels = load_pseudo_labels(outcome.plan.labels)
-    first = decoded(type(labels.labels)(*(part[:4] for part in labels.labels)))
+    first = decode_labels(type(labels.labels)(*(part[:4] for part in labels.labels)))
     cells: list[tuple[str, Pixels]] = []
     for index in range(len(first.image)):
         mask = first.mask[index, 0].numpy()
@@ -147,7 +147,7 @@ def _pseudo_labels(outcome: Outcome) -> Section:
         f"{len(told['held_back'])} were held back. The mean confidence on faces is {trust:.2f}: 1 where four "
         "views of a photograph get the same answer.",
         Figure(
-            sheet(cells, columns=8, style=_STYLE),
+            draw_sheet(cells, columns=8, style=_STYLE),
             "The first photographs with their labels; white is confidence 1.",
             density=1,
         ),
@@ -233,17 +233,17 @@ def _rows(outcome: Outcome, picture: Photograph) -> list[tuple[str, Pixels]]:
     """A row of pictures for each network."""
     cells = []
     for name, network in outcome.trained.items():
-        [face] = run_network(network.model, [picture], view=View(len(picture.image)), values=network.values)
-        shown = pictures(face)
+        [face] = run_network(network.model, [picture], view=Crop(len(picture.image)), values=network.values)
+        shown = decomposition_pictures(face)
         cells += [(name if part == "input" else shown[part][0], shown[part][1]) for part in _PARTS]
     return cells
 
 
 def _figure(cells: list[tuple[str, Pixels]], title: str, caption: str) -> Figure:
-    return Figure(sheet(cells, title=title, columns=len(_PARTS), style=_STYLE), caption, density=1)
+    return Figure(draw_sheet(cells, title=title, columns=len(_PARTS), style=_STYLE), caption, density=1)
 
 
 def _cell(outcome: Outcome, what: str, digits: int) -> str:
-    record = find(outcome.records, what)
+    record = find_record(outcome.records, what)
     assert record is not None, what
     return f"{record.value:.{digits}f}"

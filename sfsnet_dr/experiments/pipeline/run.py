@@ -15,12 +15,12 @@ from rich.console import Console
 
 from sfsnet_dr.core.files import output_dir
 from sfsnet_dr.data.dataset import load_faces
-from sfsnet_dr.data.photos import PhotoSource, photo_folder, stand_ins
+from sfsnet_dr.data.photos import PhotoSource, photo_folder, rendered_stand_ins
 from sfsnet_dr.data.pseudo_labels import MANIFEST as LABELS_MANIFEST
 from sfsnet_dr.experiments.pipeline.cache import label_photographs, render_missing, train_once
 from sfsnet_dr.experiments.pipeline.config import FINE_TUNED, FINE_TUNED_FROM, LABELLER, NETWORKS, Plan
 from sfsnet_dr.experiments.pipeline.measure import measure_fine_tuned
-from sfsnet_dr.experiments.pipeline.page import finish
+from sfsnet_dr.experiments.pipeline.page import write_results
 from sfsnet_dr.report.record import Record
 from sfsnet_dr.train.run import WEIGHTS
 
@@ -54,12 +54,12 @@ def run_stages(plan: Plan, *, command: str, console: Console | None = None) -> l
     source: PhotoSource | None = None
     for name in NETWORKS:
         if name == NETWORKS[1]:
-            source = photographs_of(plan)
+            source = load_photographs(plan)
             _label(plan, source, rule)
         _train(plan, name, folder / name, rule)
     assert source is not None
     rule("measure", "held-back faces and photographs")
-    records = finish(plan, source, command, begin)
+    records = write_results(plan, source, command, begin)
     if plan.surfaces is None:
         rule(FINE_TUNED, "left out; --surfaces gives labels by photometric stereo to fine-tune on")
         return records
@@ -67,7 +67,7 @@ def run_stages(plan: Plan, *, command: str, console: Console | None = None) -> l
     return [*records, *measure_fine_tuned(plan, plan.surfaces, command)]
 
 
-def photographs_of(plan: Plan) -> PhotoSource:
+def load_photographs(plan: Plan) -> PhotoSource:
     """The plan's photographs, or the rendered faces that stand in for them."""
     spec, data = plan.spec, plan.first.data
     if plan.photographs is not None:
@@ -75,7 +75,7 @@ def photographs_of(plan: Plan) -> PhotoSource:
     train_faces = load_faces(plan.faces, data.view, held_back=data.held_back)
     held = load_faces(plan.faces, data.view, held_back=data.held_back, held=True)
     most = spec.photographs or 4 * len(train_faces)
-    return stand_ins(train_faces, held, data, held_back=spec.held_back, most=most)
+    return rendered_stand_ins(train_faces, held, data, held_back=spec.held_back, most=most)
 
 
 def _render(plan: Plan, rule: Callable[[str, str], None]) -> None:

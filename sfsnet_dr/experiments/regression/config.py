@@ -121,7 +121,9 @@ def _check_known(path: Path | str, spec: RegressSpec, known: KnownDifference) ->
             raise InputError(f"{where}: scene {scene!r}: not in the matrix; {nearest(scene, scenes)}")
 
 
-def chosen(spec: RegressSpec, scenes: str | None, lights: str | None, renderers: str | None) -> RegressSpec:
+def choose_pairs(
+    spec: RegressSpec, scenes: str | None, lights: str | None, renderers: str | None
+) -> RegressSpec:
     """The part of a matrix that was asked for, by names with commas between.
 
     A light may be asked for that the matrix does not have for a scene; renderers need not be in it at all.

@@ -17,13 +17,13 @@ from sfsnet_dr.core.color import linear_to_srgb
 from sfsnet_dr.core.files import output_dir, write_text
 from sfsnet_dr.core.image_io import write_exr
 from sfsnet_dr.core.visualize import png_bytes, show_linear
-from sfsnet_dr.experiments.regression.expected import Truth, shaded
+from sfsnet_dr.experiments.regression.expected import Expected, shade_expected
 from sfsnet_dr.experiments.regression.matrix import Row
 from sfsnet_dr.metrics.equivalence import Estimate, two_sided_p
 from sfsnet_dr.render.renderers.base import Capabilities
 from sfsnet_dr.render.renderers.sh import surface_maps
 from sfsnet_dr.report.plots import error_map
-from sfsnet_dr.report.record import dotted
+from sfsnet_dr.report.record import dotted_word
 from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.subject import Subject
 
@@ -54,7 +54,7 @@ _AXES = {
 
 
 @dataclass(frozen=True)
-class Cause:
+class DifferenceCause:
     """The likeliest cause.
 
     Attributes:
@@ -116,28 +116,28 @@ class _Judge:
         return float((self._weight * (_sums(left) ** 2 - self._noise)).sum())
 
 
-def diagnose(found: Estimate, truth: Truth) -> Cause:
+def diagnose_difference(found: Estimate, truth: Expected) -> DifferenceCause:
     """Name the likeliest cause of the difference between an image and what it should show."""
     image, reference = found.mean, truth.estimate.mean
     difference = image - reference
     judge = _Judge(difference, found.variance + truth.estimate.variance, truth.allowance)
     if not judge.sees_anything:
-        return Cause("no cause found: the difference is hardly more than noise", 0.0)
-    best = Cause("", 0.0)
+        return DifferenceCause("no cause found: the difference is hardly more than noise", 0.0)
+    best = DifferenceCause("", 0.0)
     for fit in _fits(reference, truth.subject, truth.light, truth.says):
         weights = judge.weights(fit.patterns, difference)
         if fit.whole and not 0.05 < weights[0] < 2.0:
             continue
         share = judge.share(difference - np.tensordot(weights, np.stack(fit.patterns), 1))
         if share - _PRICE * (len(fit.patterns) - 1) > best.share:
-            best = Cause(fit.say(weights), share)
+            best = DifferenceCause(fit.say(weights), share)
     for words, other in (*_moves(image, reference, judge), *_turned(reference)):
         share = judge.share(image - other)
         if share > best.share:
-            best = Cause(words, share)
+            best = DifferenceCause(words, share)
     if best.share < _ENOUGH:
-        return Cause(f"no known cause fits; {_where(difference)}", best.share)
-    return Cause(f"{best.words} (explains {100 * best.share:.0f} % of the difference)", best.share)
+        return DifferenceCause(f"no known cause fits; {_where(difference)}", best.share)
+    return DifferenceCause(f"{best.words} (explains {100 * best.share:.0f} % of the difference)", best.share)
 
 
 def _moves(image: Array, reference: Array, judge: _Judge) -> Iterator[tuple[str, Array]]:
@@ -180,20 +180,20 @@ def _fits(reference: Array, subject: Subject, light: Light, says: Capabilities) 
 def _by_normals(reference: Array, subject: Subject, light: Light, says: Capabilities) -> Iterator[_Fit]:
     """What depends on normals: the light's direction, axes and bands, and the cosine."""
     normal = np.moveaxis(surface_maps(subject).normal[0].astype(np.float64), 0, -1)
-    shading = shaded(normal, light, says.order)
+    shading = shade_expected(normal, light, says.order)
     bright = np.abs(shading) > 0.02 * np.abs(shading).max()
     # Shading is compared without shadows; what the reference has beyond it (albedo, shadows) is a factor.
     factor = np.where(bright, reference / np.where(bright, shading, 1.0), 0.0)
     turned = []
     for axis in np.eye(3):
         moved = normal - _DEGREE * np.cross(axis, normal)  # turning the light is turning the surface back
-        turned.append(factor * (shaded(moved, light, says.order) - shading))
+        turned.append(factor * (shade_expected(moved, light, says.order) - shading))
     yield _Fit(turned, "the light turned by {0:+.2f}, {1:+.2f}, {2:+.2f} degrees about x, y, z")
     for words, matrix in _AXES.items():
-        pattern = factor * (shaded(normal @ matrix, light, says.order) - shading)
+        pattern = factor * (shade_expected(normal @ matrix, light, says.order) - shading)
         yield _Fit([pattern], f"{words}, at {{0:.0%}}", whole=True)
     for order in range(says.order if says.order is not None else 5):
-        pattern = factor * (shaded(normal, light, order) - shading)
+        pattern = factor * (shade_expected(normal, light, order) - shading)
         yield _Fit([pattern], f"{{0:.0%}} of what light of order {order} would change: the order", whole=True)
     for direction, _ in light.directional[:1]:
         cosine = normal @ direction
@@ -235,22 +235,22 @@ class Evidence:
     pictures: tuple[tuple[bytes, str], ...]
 
 
-def gather(row: Row, folder: Path) -> Evidence:
+def gather_evidence(row: Row, folder: Path) -> Evidence:
     """Write the evidence of a pair that differs into a folder of its own below ``folder``."""
     assert row.image is not None
     assert row.truth is not None
     assert row.agreement is not None
     image, reference = row.image.mean, row.truth.estimate.mean
-    cause = diagnose(row.image, row.truth).words
+    cause = diagnose_difference(row.image, row.truth).words
     # The most telling colour of each pixel.
     decades = -np.log10(np.maximum(two_sided_p(row.agreement.z), 1e-300)).max(axis=-1)
     pictures = _pictures(image, reference, decades)
-    place = output_dir(folder / "failures" / "-".join(map(dotted, (row.renderer, row.scene, row.light))))
+    place = output_dir(folder / "failures" / "-".join(map(dotted_word, (row.renderer, row.scene, row.light))))
     planes = {"image": image, "reference": reference, "difference": image - reference}
     channels = {f"{name}.{c}": values[..., k] for name, values in planes.items() for k, c in enumerate("RGB")}
     write_exr(place / "images.exr", channels | {"decades_of_p.Y": decades}, {}, float32=[*channels])
     for png, label in pictures:
-        (place / f"{dotted(label.split(',')[0])}.png").write_bytes(png)
+        (place / f"{dotted_word(label.split(',')[0])}.png").write_bytes(png)
     write_text(place / "cause.txt", f"{row.renderer}, {row.scene}, {row.light}: {cause}\n")
     return Evidence(row, cause, pictures)
 

@@ -15,7 +15,7 @@ from sfsnet_dr.experiments.regression.config import KnownDifference
 from sfsnet_dr.experiments.regression.models import Model, model_of
 from sfsnet_dr.experiments.regression.references import Maps, References
 from sfsnet_dr.metrics.closed_form import closed_form, has_closed_form
-from sfsnet_dr.metrics.equivalence import Estimate, exact
+from sfsnet_dr.metrics.equivalence import Estimate, exact_estimate
 from sfsnet_dr.render.renderers.base import Capabilities
 from sfsnet_dr.render.shading_numpy import MAX_ORDER, shading, unit
 from sfsnet_dr.scene.lights.light import Light
@@ -31,7 +31,7 @@ _STEP = 1e-3  # radians, of the numerical derivative of shading by the normal
 
 
 @dataclass(frozen=True, eq=False)
-class Truth:
+class Expected:
     """What an image is held to.
 
     Attributes:
@@ -52,7 +52,7 @@ class Truth:
     says: Capabilities
 
 
-class Truths:
+class ExpectedImages:
     """The truths of one subject under one light; many renderers share a few.
 
     Args:
@@ -62,16 +62,20 @@ class Truths:
 
     def __init__(self, subject: Subject, light: Light, references: References) -> None:
         self.subject, self.light, self.references = subject, light, references
-        self._known: dict[Capabilities, Truth] = {}
+        self._known: dict[Capabilities, Expected] = {}
 
-    def of(self, capabilities: Capabilities) -> Truth:
-        """``truth_of`` a renderer with these capabilities."""
+    def of(self, capabilities: Capabilities) -> Expected:
+        """``expected_image`` a renderer with these capabilities."""
         if capabilities not in self._known:
-            self._known[capabilities] = truth_of(capabilities, self.subject, self.light, self.references)
+            self._known[capabilities] = expected_image(
+                capabilities, self.subject, self.light, self.references
+            )
         return self._known[capabilities]
 
 
-def truth_of(capabilities: Capabilities, subject: Subject, light: Light, references: References) -> Truth:
+def expected_image(
+    capabilities: Capabilities, subject: Subject, light: Light, references: References
+) -> Expected:
     """The truth of a renderer on a subject under a light.
 
     Raises:
@@ -82,18 +86,20 @@ def truth_of(capabilities: Capabilities, subject: Subject, light: Light, referen
         raise InputError(f"{subject.spec.name}: no truth for bounces or gloss without cast shadows")
     if has_closed_form(subject.spec):
         found = closed_form(subject.spec, light, capabilities.order, deferred=shades)
-        return Truth("formula", exact(found.image), found.allowance, _formula_words(capabilities), *shown)
+        return Expected(
+            "formula", exact_estimate(found.image), found.allowance, _formula_words(capabilities), *shown
+        )
     if shades:
         estimate = shade_maps(references.maps(subject), light, capabilities.order)
         words = f"NumPy float64 {_order_words(capabilities)} shading of stored maps"
-        return Truth("stored maps", estimate, _rounding(estimate), words, *shown)
+        return Expected("stored maps", estimate, _rounding(estimate), words, *shown)
     model = model_of(capabilities, subject)
     estimate = references.picture(subject, light, model)
     words = f"stored path tracing: {_model_words(model)}"
-    return Truth("path tracing", estimate, _rounding(estimate), words, *shown)
+    return Expected("path tracing", estimate, _rounding(estimate), words, *shown)
 
 
-def forgiving(truth: Truth, known: Sequence[KnownDifference]) -> Truth:
+def allow_known_differences(truth: Expected, known: Sequence[KnownDifference]) -> Expected:
     """A truth that allows for what is known of a renderer, too."""
     if not known:
         return truth
@@ -107,16 +113,16 @@ def forgiving(truth: Truth, known: Sequence[KnownDifference]) -> Truth:
 
 def shade_maps(maps: Maps, light: Light, order: int | None) -> Estimate:
     """The NumPy form of a shading model on stored maps, with the noise of the maps carried through."""
-    middle = shaded(maps.normal, light, order)
+    middle = shade_expected(maps.normal, light, order)
     slope = np.zeros_like(middle)
     for tangent in _tangents(maps.normal):
-        slope += ((shaded(maps.normal + _STEP * tangent, light, order) - middle) / _STEP) ** 2
+        slope += ((shade_expected(maps.normal + _STEP * tangent, light, order) - middle) / _STEP) ** 2
     from_normals = maps.albedo**2 * slope * maps.normal_deviation[..., None] ** 2
     variance = from_normals + middle**2 * maps.albedo_deviation**2
     return Estimate(maps.albedo * middle, variance)
 
 
-def shaded(normal: Array, light: Light, order: int | None) -> Array:
+def shade_expected(normal: Array, light: Light, order: int | None) -> Array:
     """Shading (H, W, 3) to an order; for all light, lamps by Lambert's law and the map to order 8."""
     coefficients = light.environment_coefficients(MAX_ORDER) if order is None else light.coefficients(order)
     flat = coefficients.to_shading().flat()[None]

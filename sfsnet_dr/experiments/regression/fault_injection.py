@@ -17,14 +17,14 @@ import numpy.typing as npt
 from sfsnet_dr.core.color import linear_to_srgb
 from sfsnet_dr.core.errors import RunError
 from sfsnet_dr.experiments.regression.config import RegressSpec, SceneLights
-from sfsnet_dr.experiments.regression.diagnose import diagnose
-from sfsnet_dr.experiments.regression.expected import Truths
-from sfsnet_dr.experiments.regression.matrix import Render, Row, compare
+from sfsnet_dr.experiments.regression.diagnose import diagnose_difference
+from sfsnet_dr.experiments.regression.expected import ExpectedImages
+from sfsnet_dr.experiments.regression.matrix import Render, Row, compare_pair
 from sfsnet_dr.experiments.regression.references import References
 from sfsnet_dr.render.renderers.base import Budget, Capabilities, Image, Renderer
 from sfsnet_dr.render.renderers.registry import find_renderer
 from sfsnet_dr.render.renderers.sandbox import Outcome
-from sfsnet_dr.render.renderers.sh import once, surface_maps
+from sfsnet_dr.render.renderers.sh import memoize, surface_maps
 from sfsnet_dr.scene.lights.light import Light, rotation_about
 from sfsnet_dr.scene.lights.presets import light_set
 from sfsnet_dr.scene.subject import Subject, build_subject
@@ -41,7 +41,7 @@ Wrong = Callable[[Renderer, Subject, Light, Budget, float], Image]
 
 
 @dataclass(frozen=True)
-class Defect:
+class Fault:
     """A kind of defect.
 
     Attributes:
@@ -63,7 +63,7 @@ class Defect:
     order: int | None = None
 
 
-class Planted:
+class InjectedFault:
     """A renderer with a defect.
 
     Args:
@@ -72,7 +72,7 @@ class Planted:
         size: its size, in the defect's unit.
     """
 
-    def __init__(self, host: Renderer, defect: Defect, size: float) -> None:
+    def __init__(self, host: Renderer, defect: Fault, size: float) -> None:
         self.name, self.capabilities = host.name, host.capabilities
         self._host, self._defect, self._size = host, defect, size
 
@@ -81,7 +81,7 @@ class Planted:
         return self._defect.render(self._host, subject, light, budget, self._size)
 
 
-class Remembered:
+class RecordedImages:
     """A renderer that keeps its images, so that defects of the image cost no rendering.
 
     Args:
@@ -105,23 +105,23 @@ class Remembered:
         return images[key][1]
 
 
-@once
+@memoize
 def _with_albedo(subject: Subject, factor: float) -> Subject:
     return replace(subject, mesh=replace(subject.mesh, albedo=subject.mesh.albedo * factor))
 
 
-@once
+@memoize
 def _moved(subject: Subject, right: float) -> Subject:
     vertices = subject.mesh.vertices + np.array([right, 0.0, 0.0])
     return replace(subject, mesh=replace(subject.mesh, vertices=vertices))
 
 
-@once
+@memoize
 def _light_turned(light: Light, degrees: float) -> Light:
     return light.turned(rotation_about(_AXIS, degrees))
 
 
-@once
+@memoize
 def _light_exchanged(light: Light) -> Light:
     return light.turned(_EXCHANGED)
 
@@ -171,13 +171,13 @@ def _lower_order(host: Renderer, subject: Subject, light: Light, budget: Budget,
 
 
 DEFECTS: Final = (
-    Defect("albedo", "albedo 1 % too bright", 0.01, "1", _brighter),
-    Defect("light_direction", "the light turned by 1 degree", 1.0, "degree", _turned),
-    Defect("swapped_axis", "the light's x and y axes exchanged", 1.0, "1", _exchanged, sized=False),
-    Defect("half_pixel", "the picture moved by half a pixel", 0.5, "pixel", _shifted),
-    Defect("missing_cosine", "no cosine between surface and light", 1.0, "1", _without_cosine),
-    Defect("srgb_twice", "the sRGB curve applied once too often", 1.0, "1", _curved),
-    Defect("order", "light of order 2 passed for order 4", 1.0, "1", _lower_order, order=4),
+    Fault("albedo", "albedo 1 % too bright", 0.01, "1", _brighter),
+    Fault("light_direction", "the light turned by 1 degree", 1.0, "degree", _turned),
+    Fault("swapped_axis", "the light's x and y axes exchanged", 1.0, "1", _exchanged, sized=False),
+    Fault("half_pixel", "the picture moved by half a pixel", 0.5, "pixel", _shifted),
+    Fault("missing_cosine", "no cosine between surface and light", 1.0, "1", _without_cosine),
+    Fault("srgb_twice", "the sRGB curve applied once too often", 1.0, "1", _curved),
+    Fault("order", "light of order 2 passed for order 4", 1.0, "1", _lower_order, order=4),
 )
 
 
@@ -196,7 +196,7 @@ _HALVINGS = 6  # of the search, in the logarithm: to 11 %
 
 
 @dataclass(frozen=True)
-class Found:
+class FaultDetection:
     """What became of one defect in one renderer.
 
     Attributes:
@@ -209,7 +209,7 @@ class Found:
         cause: what the diagnosis said of the clearest pair.
     """
 
-    defect: Defect
+    defect: Fault
     host: str
     suffix: str
     seen: tuple[str, ...]
@@ -223,7 +223,7 @@ class Found:
         return bool(self.seen)
 
 
-def plant_all(
+def inject_faults(
     spec: RegressSpec,
     references: References,
     pairs: int,
@@ -232,7 +232,7 @@ def plant_all(
     search: bool = True,
     seed: int = 0,
     on_step: Callable[[], None] = lambda: None,
-) -> list[Found]:
+) -> list[FaultDetection]:
     """Plant every defect into its hosts, and search for the smallest size of each that is seen.
 
     Args:
@@ -245,26 +245,26 @@ def plant_all(
         on_step: called after each defect.
     """
     plot = _plot(spec, ground, references)
-    remembered: dict[str, Remembered] = {}
+    remembered: dict[str, RecordedImages] = {}
     found = []
     for defect in DEFECTS:
         for name, suffix in (HOSTS if defect.order is None else ORDER_HOSTS).items():
-            host = remembered.setdefault(name, Remembered(find_renderer(name)))
+            host = remembered.setdefault(name, RecordedImages(find_renderer(name)))
 
-            def rows(size: float, host: Renderer = host, defect: Defect = defect) -> list[Row]:
-                return _rows(Planted(host, defect, size), plot, spec, seed)
+            def rows(size: float, host: Renderer = host, defect: Fault = defect) -> list[Row]:
+                return _rows(InjectedFault(host, defect, size), plot, spec, seed)
 
             found.append(_found(defect, name, suffix, rows, pairs, spec.level, search))
             on_step()
     return found
 
 
-def steps() -> int:
+def fault_sizes() -> int:
     """Number of defects times hosts, for a bar."""
     return sum(len(HOSTS if defect.order is None else ORDER_HOSTS) for defect in DEFECTS)
 
 
-def clean_runs(
+def repeat_clean_runs(
     spec: RegressSpec,
     references: References,
     repeats: int,
@@ -286,23 +286,23 @@ def clean_runs(
     return chances
 
 
-def _plot(spec: RegressSpec, ground: Iterable[SceneLights], references: References) -> list[Truths]:
+def _plot(spec: RegressSpec, ground: Iterable[SceneLights], references: References) -> list[ExpectedImages]:
     found = []
     for pair in ground:
         subject = build_subject(spec.scene(pair.scene))
-        found += [Truths(subject, light, references) for light in light_set(",".join(pair.lights))]
+        found += [ExpectedImages(subject, light, references) for light in light_set(",".join(pair.lights))]
     return found
 
 
-def _rows(renderer: Renderer, plot: list[Truths], spec: RegressSpec, seed: int) -> list[Row]:
-    rows = [compare(renderer.name, direct(renderer), truths, spec, seed=seed) for truths in plot]
+def _rows(renderer: Renderer, plot: list[ExpectedImages], spec: RegressSpec, seed: int) -> list[Row]:
+    rows = [compare_pair(renderer.name, direct_image(renderer), truths, spec, seed=seed) for truths in plot]
     for row in rows:
         if row.agreement is None:
             raise RunError(f"{row.renderer} on {row.scene} under {row.light}: {row.detail}")
     return rows
 
 
-def direct(renderer: Renderer) -> Render:
+def direct_image(renderer: Renderer) -> Render:
     """A renderer in this process, without a guard: what fails stops everything."""
 
     def render(subject: Subject, light: Light, budget: Budget) -> Outcome:
@@ -314,29 +314,29 @@ def direct(renderer: Renderer) -> Render:
 
 
 def _found(
-    defect: Defect,
+    defect: Fault,
     host: str,
     suffix: str,
     rows: Callable[[float], list[Row]],
     pairs: int,
     level: float,
     search: bool,
-) -> Found:
+) -> FaultDetection:
     full = rows(defect.size)
     refused = sorted(
         (k for k, row in enumerate(full) if _refused(row, pairs, level)), key=lambda k: full[k].p
     )
     if not refused:
-        return Found(defect, host, suffix, (), len(full), None, "not seen")
+        return FaultDetection(defect, host, suffix, (), len(full), None, "not seen")
     row = full[refused[0]]
     assert row.image is not None
     assert row.truth is not None
-    cause = diagnose(row.image, row.truth)
+    cause = diagnose_difference(row.image, row.truth)
     seen = tuple(f"{full[k].scene} / {full[k].light}" for k in refused)
     smallest = None
     if search and defect.sized:
         smallest = _smallest(defect.size, lambda s: any(_refused(r, pairs, level) for r in rows(s)))
-    return Found(defect, host, suffix, seen, len(full), smallest, cause.words)
+    return FaultDetection(defect, host, suffix, seen, len(full), smallest, cause.words)
 
 
 def _refused(row: Row, pairs: int, level: float) -> bool:

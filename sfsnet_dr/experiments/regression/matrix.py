@@ -11,13 +11,19 @@ import numpy.typing as npt
 
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.experiments.regression.config import RegressSpec
-from sfsnet_dr.experiments.regression.expected import Truth, Truths, forgiving
+from sfsnet_dr.experiments.regression.expected import Expected, ExpectedImages, allow_known_differences
 from sfsnet_dr.experiments.regression.models import Model, model_of
 from sfsnet_dr.experiments.regression.references import References
-from sfsnet_dr.metrics.equivalence import Agreement, Estimate, agree, exact, from_seeds
+from sfsnet_dr.metrics.equivalence import (
+    Agreement,
+    Estimate,
+    check_agreement,
+    estimate_from_seeds,
+    exact_estimate,
+)
 from sfsnet_dr.render.renderers.base import Budget, Capabilities
 from sfsnet_dr.render.renderers.registry import find_renderer, is_built_in, renderers
-from sfsnet_dr.render.renderers.sandbox import Outcome, run_guarded
+from sfsnet_dr.render.renderers.sandbox import Outcome, run_sandboxed
 from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.lights.presets import light_set
 from sfsnet_dr.scene.subject import Subject, build_subject
@@ -57,7 +63,7 @@ class Row:
     agreement: Agreement | None = None
     p: float = 1.0
     image: Estimate | None = None
-    truth: Truth | None = None
+    truth: Expected | None = None
 
 
 def run_matrix(
@@ -81,39 +87,39 @@ def run_matrix(
     for name in spec.renderers:
         check_renderer(name)
     rows = []
-    for truths in prepared(spec, references):
+    for truths in prepare_pairs(spec, references):
         for name in spec.renderers:
-            row = compare(name, guarded(name), truths, spec, seed=seed)
+            row = compare_pair(name, measure_sandboxed(name), truths, spec, seed=seed)
             rows.append(row)
             on_row(row)
-    return judged(rows, spec.level)
+    return apply_tolerance(rows, spec.level)
 
 
-def prepared(spec: RegressSpec, references: References) -> list[Truths]:
+def prepare_pairs(spec: RegressSpec, references: References) -> list[ExpectedImages]:
     """What our renderers are held to, for every scene and light: what is missing shows before any rendering.
 
     Raises:
         InputError: for a reference that is missing or does not fit.
     """
     found = []
-    for subject, lights in subjects(spec):
+    for subject, lights in load_subjects(spec):
         for light in lights:
-            found.append(Truths(subject, light, references))
+            found.append(ExpectedImages(subject, light, references))
             for name in filter(is_built_in, spec.renderers):
                 found[-1].of(find_renderer(name).capabilities)
     return found
 
 
-def compare(
+def compare_pair(
     name: str,
     render: Render,
-    truths: Truths,
+    truths: ExpectedImages,
     spec: RegressSpec,
     *,
     seed: int = 0,
     capabilities: Capabilities | None = None,
 ) -> Row:
-    """One row; its ``p`` is that of the pair alone until ``judged``.
+    """One row; its ``p`` is that of the pair alone until ``apply_tolerance``.
 
     Args:
         name: of the renderer.
@@ -143,14 +149,14 @@ def compare(
     says = capabilities or outcome.capabilities
     assert says is not None
     try:
-        truth = forgiving(truths.of(says), spec.known_of(name, subject.spec.name))
+        truth = allow_known_differences(truths.of(says), spec.known_of(name, subject.spec.name))
     except InputError as error:
         if is_built_in(name):
             raise
         return replace(blank, detail=f"nothing to hold it to: {error}")
-    image = exact(images[0]) if len(images) == 2 else from_seeds(images)
+    image = exact_estimate(images[0]) if len(images) == 2 else estimate_from_seeds(images)
     tested = _with_noise_of_maps(image, truth, spec) if not image.variance.any() else image
-    agreement = agree(tested, truth.estimate, allowance=truth.allowance)
+    agreement = check_agreement(tested, truth.estimate, allowance=truth.allowance)
     return replace(
         blank,
         verdict="agrees",
@@ -163,7 +169,7 @@ def compare(
     )
 
 
-def judged(rows: Iterable[Row], level: float) -> list[Row]:
+def apply_tolerance(rows: Iterable[Row], level: float) -> list[Row]:
     """Rows with their p corrected for the number of pairs, and their verdicts."""
     given = list(rows)
     pairs = sum(row.agreement is not None for row in given)
@@ -177,13 +183,13 @@ def _judged(row: Row, pairs: int, level: float) -> Row:
     return replace(row, p=p, verdict="differs" if p < level else "agrees")
 
 
-def subjects(spec: RegressSpec) -> Iterable[tuple[Subject, list[Light]]]:
+def load_subjects(spec: RegressSpec) -> Iterable[tuple[Subject, list[Light]]]:
     """The surfaces of a matrix with their lights, each built when its turn comes."""
     for pair in spec.scenes:
         yield build_subject(spec.scene(pair.scene)), light_set(",".join(pair.lights))
 
 
-def models(names: Iterable[str], subject: Subject) -> list[Model]:
+def models_of_renderers(names: Iterable[str], subject: Subject) -> list[Model]:
     """The path-traced pictures that renderers need on a subject; those not installed say theirs too."""
     found = []
     for name in names:
@@ -193,9 +199,9 @@ def models(names: Iterable[str], subject: Subject) -> list[Model]:
     return list(dict.fromkeys(found))
 
 
-def guarded(name: str) -> Render:
+def measure_sandboxed(name: str) -> Render:
     """A renderer of a name, so that nothing it does can stop the run."""
-    return lambda subject, light, budget: run_guarded(name, subject, light, budget)
+    return lambda subject, light, budget: run_sandboxed(name, subject, light, budget)
 
 
 def check_renderer(name: str) -> None:
@@ -208,7 +214,7 @@ def check_renderer(name: str) -> None:
         find_renderer(name)  # tells the nearest name
 
 
-def _with_noise_of_maps(image: Estimate, truth: Truth, spec: RegressSpec) -> Estimate:
+def _with_noise_of_maps(image: Estimate, truth: Expected, spec: RegressSpec) -> Estimate:
     """An image that always places its rays alike still has their noise, though nothing shows it."""
     if truth.kind != "stored maps":
         return image

@@ -48,7 +48,7 @@ def model_of(capabilities: Capabilities, subject: Subject) -> Model:
     return Model(capabilities.bounces, gloss, capabilities.order)
 
 
-def trace(subject: Subject, light: Light, model: Model, samples: int, seed: int) -> Estimate:
+def trace_model(subject: Subject, light: Light, model: Model, samples: int, seed: int) -> Estimate:
     """The model's picture by path tracing; its variance comes from the samples.
 
     Light of few SH bands is negative in places. It is then rendered in two parts, the positive and the
@@ -56,7 +56,7 @@ def trace(subject: Subject, light: Light, model: Model, samples: int, seed: int)
     """
     if model.order is None:
         return _traced(subject, light, model, samples, seed)
-    positive, negative = truncated(light, model.order)
+    positive, negative = truncate_light(light, model.order)
     first = _traced(subject, positive, model, samples, seed)
     if negative is None:
         return first
@@ -64,7 +64,7 @@ def trace(subject: Subject, light: Light, model: Model, samples: int, seed: int)
     return Estimate(first.mean - second.mean, first.variance + second.variance, first.freedom)
 
 
-def truncated(light: Light, order: int) -> tuple[Light, Light | None]:
+def truncate_light(light: Light, order: int) -> tuple[Light, Light | None]:
     """The light to an SH order as maps: its positive part and, where it has one, its negative part."""
     wanted = light.coefficients(order).values
     basis = sh_basis(equirect_directions(*MAP_SIZE), order)

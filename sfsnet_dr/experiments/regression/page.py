@@ -8,7 +8,7 @@ from typing import Final
 from sfsnet_dr.core.provenance import machine, versions
 from sfsnet_dr.experiments.regression.config import RegressSpec
 from sfsnet_dr.experiments.regression.diagnose import Evidence
-from sfsnet_dr.experiments.regression.fault_injection import Found
+from sfsnet_dr.experiments.regression.fault_injection import FaultDetection
 from sfsnet_dr.experiments.regression.matrix import Row
 from sfsnet_dr.report.html import Block, Figure, Gallery, KeyNumbers, Note, Section, Table
 
@@ -29,7 +29,7 @@ _SCALES = {
 }
 
 
-def lead(rows: Sequence[Row], spec: RegressSpec) -> str:
+def lead_text(rows: Sequence[Row], spec: RegressSpec) -> str:
     """What came out, in a sentence or two."""
     compared = [row for row in rows if row.agreement is not None]
     wrong = [row for row in rows if row.verdict in ("differs", "failed")]
@@ -46,7 +46,7 @@ def lead(rows: Sequence[Row], spec: RegressSpec) -> str:
     )
 
 
-def sections(rows: Sequence[Row], evidence: Sequence[Evidence], spec: RegressSpec) -> list[Section]:
+def page_sections(rows: Sequence[Row], evidence: Sequence[Evidence], spec: RegressSpec) -> list[Section]:
     """Overview, failures in pictures, every pair, and how it works."""
     parts = [Section("Overview", [_overview(rows), *_numbers(rows)])]
     failed = [row for row in rows if row.verdict == "failed"]
@@ -59,7 +59,7 @@ def sections(rows: Sequence[Row], evidence: Sequence[Evidence], spec: RegressSpe
     return parts
 
 
-def planted_section(found: Sequence[Found], spec: RegressSpec) -> Section:
+def fault_section(found: Sequence[FaultDetection], spec: RegressSpec) -> Section:
     """Which planted defects were seen, and how small they may be."""
     rows = [
         [
@@ -106,7 +106,7 @@ def clean_section(chances: Sequence[float]) -> Section:
     )
 
 
-def footer() -> str:
+def page_footer() -> str:
     """Versions and machine."""
     found, here = versions(), machine()
     names = ", ".join(
@@ -214,7 +214,7 @@ def _method(spec: RegressSpec) -> list[Block]:
     ]
 
 
-def _size(found: Found) -> str:
+def _size(found: FaultDetection) -> str:
     if found.smallest is None:
         return "\u2013"
     unit = found.defect.unit

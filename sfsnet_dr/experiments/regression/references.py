@@ -22,7 +22,7 @@ from sfsnet_dr.core.files import output_dir
 from sfsnet_dr.core.image_io import read_exr, write_exr
 from sfsnet_dr.core.provenance import versions
 from sfsnet_dr.experiments.regression.config import RegressSpec
-from sfsnet_dr.experiments.regression.models import Model, trace
+from sfsnet_dr.experiments.regression.models import Model, trace_model
 from sfsnet_dr.metrics.equivalence import Estimate
 from sfsnet_dr.render.aovs import TransportOptions, render_aovs
 from sfsnet_dr.scene.lights.light import Light
@@ -139,7 +139,7 @@ def make_references(
             planes: dict[str, Array] = {}
             for model in models(subject):
                 seed = FIRST_SEED + 2 * len(planes)
-                picture = trace(subject, light, model, spec.reference_samples, seed)
+                picture = trace_model(subject, light, model, spec.reference_samples, seed)
                 planes |= _planes(f"{model.name}.mean", picture.mean, _COLOURS)
                 planes |= _planes(f"{model.name}.variance", _coarse(picture.variance), _COLOURS)
             _write(library.path(name, light.name), planes, subject, light, spec)

@@ -13,15 +13,21 @@ from scipy.stats import binomtest
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.core.files import output_dir
 from sfsnet_dr.experiments.regression import fault_injection, page
-from sfsnet_dr.experiments.regression.config import CONFIG, REFERENCES, RegressSpec, chosen, read_spec
-from sfsnet_dr.experiments.regression.diagnose import gather
-from sfsnet_dr.experiments.regression.matrix import Row, check_renderer, models, run_matrix, subjects
+from sfsnet_dr.experiments.regression.config import CONFIG, REFERENCES, RegressSpec, choose_pairs, read_spec
+from sfsnet_dr.experiments.regression.diagnose import gather_evidence
+from sfsnet_dr.experiments.regression.matrix import (
+    Row,
+    check_renderer,
+    load_subjects,
+    models_of_renderers,
+    run_matrix,
+)
 from sfsnet_dr.experiments.regression.references import References, make_references
 from sfsnet_dr.metrics.closed_form import has_closed_form
 from sfsnet_dr.render.renderers.registry import is_built_in, renderers
-from sfsnet_dr.report.console import bar
+from sfsnet_dr.report.console import progress_bar
 from sfsnet_dr.report.html import Section, write_page
-from sfsnet_dr.report.record import Record, dotted, measured, write_records
+from sfsnet_dr.report.record import Record, dotted_word, make_record, write_records
 
 #: Failing pairs that the page shows in pictures; all of them leave files.
 _SHOWN: Final = 8
@@ -61,7 +67,7 @@ class Options:
 
 
 @dataclass(frozen=True)
-class Done:
+class RegressionResult:
     """What came of it.
 
     Attributes:
@@ -75,7 +81,7 @@ class Done:
     text: str
 
 
-def regress(options: Options) -> Done:
+def regress(options: Options) -> RegressionResult:
     """Do what the options say, and write ``records.json`` and ``index.html``.
 
     Raises:
@@ -84,7 +90,7 @@ def regress(options: Options) -> Done:
     if options.update + options.planted + bool(options.clean) > 1:
         raise InputError("--update, --plant and --clean-runs: more than one found; each is a run of its own")
     given = read_spec(options.config)
-    spec = chosen(given, options.scenes, options.lights, options.renderers)
+    spec = choose_pairs(given, options.scenes, options.lights, options.renderers)
     if options.renderers is None:
         strangers = tuple(
             name for name in renderers() if not is_built_in(name) and name not in spec.renderers
@@ -103,54 +109,58 @@ def regress(options: Options) -> Done:
     return _matrix(spec, library, folder, options)
 
 
-def _matrix(spec: RegressSpec, library: References, folder: Path, options: Options) -> Done:
+def _matrix(spec: RegressSpec, library: References, folder: Path, options: Options) -> RegressionResult:
     begin = time.perf_counter()
-    with bar("comparing", _pairs(spec)) as advance:
+    with progress_bar("comparing", _pairs(spec)) as advance:
         rows = run_matrix(spec, library, seed=options.seed, on_row=lambda _: advance())
-    evidence = [gather(row, folder) for row in rows if row.verdict == "differs"]
+    evidence = [gather_evidence(row, folder) for row in rows if row.verdict == "differs"]
     seconds = time.perf_counter() - begin
     records = matrix_records(rows, seconds, options.command, options.seed)
-    lead = page.lead(rows, spec)
-    _write(folder, lead, page.sections(rows, evidence[:_SHOWN], spec), records)
+    lead = page.lead_text(rows, spec)
+    _write(folder, lead, page.page_sections(rows, evidence[:_SHOWN], spec), records)
     lines = [lead, *(f"{e.row.renderer}, {e.row.scene}, {e.row.light}: {e.cause}" for e in evidence)]
     lines += [f"{r.renderer}, {r.scene}, {r.light}: {r.detail}" for r in rows if r.verdict == "failed"]
     ok = all(row.verdict in ("agrees", "not installed") for row in rows)
-    return Done(records, ok, "\n".join([*lines, f"report: {folder / 'index.html'}"]))
+    return RegressionResult(records, ok, "\n".join([*lines, f"report: {folder / 'index.html'}"]))
 
 
-def _update(spec: RegressSpec, options: Options) -> Done:
+def _update(spec: RegressSpec, options: Options) -> RegressionResult:
     begin = time.perf_counter()
-    scenes = [(s, lights) for s, lights in subjects(spec) if not has_closed_form(s.spec)]
+    scenes = [(s, lights) for s, lights in load_subjects(spec) if not has_closed_form(s.spec)]
     files = sum(1 + len(lights) for _, lights in scenes)
-    with bar("references", files) as advance:
+    with progress_bar("references", files) as advance:
         make_references(
-            spec, options.references, scenes, lambda subject: models(spec.renderers, subject), advance
+            spec,
+            options.references,
+            scenes,
+            lambda subject: models_of_renderers(spec.renderers, subject),
+            advance,
         )
     size = sum(path.stat().st_size for path in options.references.glob("*.exr")) / 1e6
     found = [
-        measured("regress.update.files", files, "1", command=options.command),
-        measured("regress.update.seconds", time.perf_counter() - begin, "s", command=options.command),
-        measured("regress.update.size", size, "MB", command=options.command),
+        make_record("regress.update.files", files, "1", command=options.command),
+        make_record("regress.update.seconds", time.perf_counter() - begin, "s", command=options.command),
+        make_record("regress.update.size", size, "MB", command=options.command),
     ]
-    return Done(found, True, f"{files} references in {options.references}, {size:.1f} MB")
+    return RegressionResult(found, True, f"{files} references in {options.references}, {size:.1f} MB")
 
 
-def _plant(spec: RegressSpec, library: References, folder: Path, options: Options) -> Done:
-    with bar("planting", fault_injection.steps()) as advance:
-        found = fault_injection.plant_all(spec, library, _pairs(spec), seed=options.seed, on_step=advance)
-    records = planted_records(found, options.command, options.seed)
-    section = page.planted_section(found, spec)
+def _plant(spec: RegressSpec, library: References, folder: Path, options: Options) -> RegressionResult:
+    with progress_bar("planting", fault_injection.fault_sizes()) as advance:
+        found = fault_injection.inject_faults(spec, library, _pairs(spec), seed=options.seed, on_step=advance)
+    records = fault_records(found, options.command, options.seed)
+    section = page.fault_section(found, spec)
     caught = sum(item.caught for item in found)
     lead = f"{caught} of {len(found)} planted defects were seen."
     _write(folder, lead, [section], records)
     missed = [f"not seen: {item.defect.words}, in {item.host}" for item in found if not item.caught]
     text = "\n".join([lead, *missed, f"report: {folder / 'index.html'}"])
-    return Done(records, not missed, text)
+    return RegressionResult(records, not missed, text)
 
 
-def _clean(spec: RegressSpec, library: References, folder: Path, options: Options) -> Done:
-    with bar("clean runs", options.clean) as advance:
-        chances = fault_injection.clean_runs(spec, library, options.clean, on_step=advance)
+def _clean(spec: RegressSpec, library: References, folder: Path, options: Options) -> RegressionResult:
+    with progress_bar("clean runs", options.clean) as advance:
+        chances = fault_injection.repeat_clean_runs(spec, library, options.clean, on_step=advance)
     records = clean_records(chances, options.command)
     lead = (
         f"{len(chances)} comparisons with nothing wrong: {records[1].value:.1%} were refused at a level "
@@ -159,7 +169,7 @@ def _clean(spec: RegressSpec, library: References, folder: Path, options: Option
     _write(folder, lead, [page.clean_section(chances)], records)
     low = records[1].interval
     assert low is not None
-    return Done(records, low[0] <= _COUNTED, f"{lead}\nreport: {folder / 'index.html'}")
+    return RegressionResult(records, low[0] <= _COUNTED, f"{lead}\nreport: {folder / 'index.html'}")
 
 
 def matrix_records(rows: Sequence[Row], seconds: float, command: str, seed: int) -> list[Record]:
@@ -171,31 +181,32 @@ def matrix_records(rows: Sequence[Row], seconds: float, command: str, seed: int)
         "not_installed": sum(row.verdict == "not installed" for row in rows),
     }
     found = [
-        measured(f"regress.{name}", value, "1", command=command, seed=seed) for name, value in counts.items()
+        make_record(f"regress.{name}", value, "1", command=command, seed=seed)
+        for name, value in counts.items()
     ]
-    found.append(measured("regress.seconds", seconds, "s", command=command, seed=seed))
+    found.append(make_record("regress.seconds", seconds, "s", command=command, seed=seed))
     for row in rows:
         if row.agreement is None:
             continue
         key = f"regress.{_word(row.renderer)}.{_word(row.scene)}.{_word(row.light)}"
         numbers = {"worst_z": (row.agreement.worst_z, "1"), "p": (row.p, "1"), "seconds": (row.seconds, "s")}
         for name, (value, unit) in numbers.items():
-            found.append(measured(f"{key}.{name}", value, unit, command=command, seed=seed))
+            found.append(make_record(f"{key}.{name}", value, unit, command=command, seed=seed))
     return found
 
 
-def planted_records(found: Sequence[fault_injection.Found], command: str, seed: int) -> list[Record]:
+def fault_records(found: Sequence[fault_injection.FaultDetection], command: str, seed: int) -> list[Record]:
     """How many were planted and caught, and the smallest size of each kind that was."""
     kinds = dict.fromkeys(item.defect.kind for item in found)
     caught = [kind for kind in kinds if all(item.caught for item in found if item.defect.kind == kind)]
     records = [
-        measured("regress.defects_planted", len(kinds), "1", command=command, seed=seed),
-        measured("regress.defects_caught", len(caught), "1", command=command, seed=seed),
+        make_record("regress.defects_planted", len(kinds), "1", command=command, seed=seed),
+        make_record("regress.defects_caught", len(caught), "1", command=command, seed=seed),
     ]
     for item in found:
         if item.smallest is not None:
             what = f"regress.smallest.{item.defect.kind}{item.suffix}"
-            records.append(measured(what, item.smallest, item.defect.unit, command=command, seed=seed))
+            records.append(make_record(what, item.smallest, item.defect.unit, command=command, seed=seed))
     return records
 
 
@@ -204,8 +215,8 @@ def clean_records(chances: Sequence[float], command: str) -> list[Record]:
     refused = sum(p < _COUNTED for p in chances)
     ends = binomtest(refused, len(chances)).proportion_ci()
     return [
-        measured("regress.clean.pairs", len(chances), "1", command=command),
-        measured(
+        make_record("regress.clean.pairs", len(chances), "1", command=command),
+        make_record(
             "regress.clean.refused_at_5_percent",
             refused / len(chances),
             "1",
@@ -217,7 +228,7 @@ def clean_records(chances: Sequence[float], command: str) -> list[Record]:
 
 def _write(folder: Path, lead: str, sections: Sequence[Section], records: Sequence[Record]) -> None:
     write_records(folder / "records.json", records)
-    write_page(folder / "index.html", "Do the renderers agree?", lead, sections, footer=page.footer())
+    write_page(folder / "index.html", "Do the renderers agree?", lead, sections, footer=page.page_footer())
 
 
 def _pairs(spec: RegressSpec) -> int:
@@ -226,4 +237,6 @@ def _pairs(spec: RegressSpec) -> int:
 
 def _word(name: str) -> str:
     """A name as one word of a record; our own stay as they are."""
-    return name if is_built_in(name) or name.replace("_", "").replace("-", "").isalnum() else dotted(name)
+    return (
+        name if is_built_in(name) or name.replace("_", "").replace("-", "").isalnum() else dotted_word(name)
+    )

@@ -31,7 +31,7 @@ class Inputs(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Form:
+class ComputeBackend:
     """One renderer, or the loss with one backend.
 
     Attributes:
@@ -70,11 +70,13 @@ def _loss(backend: Backend) -> Callable[[Inputs], Tensor]:
 
 #: A backend that is added to ``Backend`` joins by itself; all but ``torch`` are taken to run on Dr.Jit.
 FORMS: Final = (
-    Form("numpy", "render", _numpy, differentiable=False),
-    Form("torch", "render", lambda inputs: shading_torch.f_render(*inputs[:3])),
-    Form("drjit", "render", lambda inputs: shading_drjit.f_render(*inputs[:3]), jit=True),
-    Form("drjit-plain", "render", lambda inputs: shading_drjit_reference.f_render(*inputs[:3]), jit=True),
-    *(Form(f"loss {b}", "loss", _loss(b), jit=b != "torch") for b in reversed(get_args(Backend))),
+    ComputeBackend("numpy", "render", _numpy, differentiable=False),
+    ComputeBackend("torch", "render", lambda inputs: shading_torch.f_render(*inputs[:3])),
+    ComputeBackend("drjit", "render", lambda inputs: shading_drjit.f_render(*inputs[:3]), jit=True),
+    ComputeBackend(
+        "drjit-plain", "render", lambda inputs: shading_drjit_reference.f_render(*inputs[:3]), jit=True
+    ),
+    *(ComputeBackend(f"loss {b}", "loss", _loss(b), jit=b != "torch") for b in reversed(get_args(Backend))),
 )
 
 #: The same once more with FastMath off, where Dr.Jit computes.
@@ -83,7 +85,7 @@ STRICT_FORMS: Final = tuple(
 )
 
 
-def form_named(name: str) -> Form:
+def find_backend(name: str) -> ComputeBackend:
     """The form of that name.
 
     Raises:

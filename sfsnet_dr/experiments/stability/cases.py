@@ -14,7 +14,7 @@ import numpy.typing as npt
 from torch import Tensor
 
 from sfsnet_dr.experiments.stability.backends import Inputs
-from sfsnet_dr.experiments.stability.expected import render_truth
+from sfsnet_dr.experiments.stability.expected import expected_image
 from sfsnet_dr.render.shading_numpy import COLOURS
 from sfsnet_dr.sh.basis import sh_basis
 from sfsnet_dr.sh.kernel import band_of, clamped_cosine
@@ -51,7 +51,7 @@ class Bound:
 
 
 @dataclass(frozen=True)
-class NotFinite:
+class ExpectedNonFinite:
     """NaN or inf goes in. It must show where float64 shows it, and leave all other numbers right.
 
     The loss is one number: it must show it, and its gradients are not looked at.
@@ -59,16 +59,16 @@ class NotFinite:
 
 
 @dataclass(frozen=True)
-class Refusal:
+class ExpectedError:
     """A InputError whose line holds these words."""
 
     words: str
 
 
-Expectation = Bound | NotFinite | Refusal
+Expectation = Bound | ExpectedNonFinite | ExpectedError
 
 
-def by_name(leaves: dict[str, Tensor]) -> Inputs:
+def find_case(leaves: dict[str, Tensor]) -> Inputs:
     """Leaves that are the arguments themselves."""
     return Inputs(**leaves)
 
@@ -91,10 +91,10 @@ class Case:
     cause: str
     leaves: Callable[[Rng], Leaves]
     expect: Expectation = Bound()
-    build: Callable[[dict[str, Tensor]], Inputs] = by_name
+    build: Callable[[dict[str, Tensor]], Inputs] = find_case
 
 
-def ordinary(rng: Rng, batch: int = 2, height: int = 12, width: int = 12, order: int = 2) -> Leaves:
+def default_case(rng: Rng, batch: int = 2, height: int = 12, width: int = 12, order: int = 2) -> Leaves:
     """Unit normals all around, albedo .1 to 1, a light of mean 1, an image that is off, a mask.
 
     Row 0 of the mask is left out, row 1 counts fully, the others count partly.
@@ -121,26 +121,26 @@ def with_image(leaves: Leaves, rng: Rng) -> Leaves:
     Where the scale is denormal it is off by .1 to .5, because the residual would be flushed to 0.
     """
     normal, albedo, light = leaves["normal"], leaves["albedo"], leaves["light"]
-    found = render_truth(normal, albedo, light, np.zeros_like(albedo))
+    found = expected_image(normal, albedo, light, np.zeros_like(albedo))
     off = rng.uniform(0.1, 0.5, albedo.shape) * rng.choice([-1.0, 1.0], albedo.shape)
     return leaves | {"image": found.value + off * np.where(found.scale > 1e-30, found.scale, 1)}
 
 
-def changed(**changes: Callable[[Array], Array]) -> Callable[[Rng], Leaves]:
-    """``ordinary`` inputs with some arguments changed, and the image that goes with them."""
+def with_values(**changes: Callable[[Array], Array]) -> Callable[[Rng], Leaves]:
+    """``default_case`` inputs with some arguments changed, and the image that goes with them."""
 
     def make(rng: Rng) -> Leaves:
-        leaves = ordinary(rng)
+        leaves = default_case(rng)
         return with_image(leaves | {name: change(leaves[name]) for name, change in changes.items()}, rng)
 
     return make
 
 
-def poisoned(argument: str, value: float, row: int) -> Callable[[Rng], Leaves]:
-    """``ordinary`` inputs with one number replaced; row 0 is masked out, row 1 counts."""
+def with_nan(argument: str, value: float, row: int) -> Callable[[Rng], Leaves]:
+    """``default_case`` inputs with one number replaced; row 0 is masked out, row 1 counts."""
 
     def make(rng: Rng) -> Leaves:
-        leaves = ordinary(rng)
+        leaves = default_case(rng)
         leaves[argument][(0, 0, row, 3) if leaves[argument].ndim == 4 else (0, 3)] = value
         return leaves
 
@@ -206,27 +206,29 @@ def _ringing(light: Array) -> Array:
 
 
 def _order(order: int) -> Callable[[Rng], Leaves]:
-    return lambda rng: ordinary(rng, order=order)
+    return lambda rng: default_case(rng, order=order)
 
 
 def _size(batch: int, height: int, width: int) -> Callable[[Rng], Leaves]:
-    return lambda rng: ordinary(rng, batch, height, width)
+    return lambda rng: default_case(rng, batch, height, width)
 
 
 def _black(rng: Rng) -> Leaves:
-    leaves = ordinary(rng)
+    leaves = default_case(rng)
     return leaves | {"albedo": 0 * leaves["albedo"], "image": 0 * leaves["image"]}
 
 
 def _solved(rng: Rng) -> Leaves:
     """An image that is the render itself, up to round-off."""
-    leaves = ordinary(rng)
-    found = render_truth(leaves["normal"], leaves["albedo"], leaves["light"], np.zeros_like(leaves["albedo"]))
+    leaves = default_case(rng)
+    found = expected_image(
+        leaves["normal"], leaves["albedo"], leaves["light"], np.zeros_like(leaves["albedo"])
+    )
     return leaves | {"image": found.value}
 
 
 def _mask(value: float) -> Callable[[Rng], Leaves]:
-    return changed(mask=lambda mask: np.full_like(mask, value))
+    return with_values(mask=lambda mask: np.full_like(mask, value))
 
 
 def _binary(mask: Array) -> Array:
@@ -234,55 +236,57 @@ def _binary(mask: Array) -> Array:
 
 
 def _case(
-    title: str, cause: str, leaves: Callable[[Rng], Leaves], expect: Bound | Refusal | None = None
+    title: str, cause: str, leaves: Callable[[Rng], Leaves], expect: Bound | ExpectedError | None = None
 ) -> Case:
     group, _, name = title.partition(": ")
     return Case(group, name, cause, leaves, expect or Bound())
 
 
 _LENGTH_CASES = (
-    _case("Normals: grazing, z within 1e-4 of 0", _ROUNDING, changed(normal=_ring(0.0, 1e-4))),
-    _case("Normals: back-facing, z from -1 to -.8", _ROUNDING, changed(normal=_ring(-0.9, 0.1))),
-    _case("Normals: along the axes and the poles", _ROUNDING, changed(normal=_axes)),
-    _case("Normals: lengths .1 to 10", _ROUNDING, changed(normal=_lengths(0.1, 10))),
+    _case("Normals: grazing, z within 1e-4 of 0", _ROUNDING, with_values(normal=_ring(0.0, 1e-4))),
+    _case("Normals: back-facing, z from -1 to -.8", _ROUNDING, with_values(normal=_ring(-0.9, 0.1))),
+    _case("Normals: along the axes and the poles", _ROUNDING, with_values(normal=_axes)),
+    _case("Normals: lengths .1 to 10", _ROUNDING, with_values(normal=_lengths(0.1, 10))),
     _case(
         "Normals: lengths 1e10 to 1e37",
         f"shortened before squared; gradients of 1e-37: {_FLUSH}",
-        changed(normal=_lengths(1e10, 1e37)),
+        with_values(normal=_lengths(1e10, 1e37)),
         Bound(gradient_floor=_FLOOR),
     ),
-    _case("Normals: lengths 1e-5 to .1", _ROUNDING, changed(normal=_lengths(1e-5, 0.1))),
-    _case("Normals: lengths 1e-20 to 1e-7", _SHORT, changed(normal=_lengths(1e-20, 1e-7))),
-    _case("Normals: zero", _SHORT, changed(normal=_times(0))),
-    _case("Normals: denormal, 1e-40", f"{_FLUSH}; {_SHORT}", changed(normal=_times(1e-40))),
+    _case("Normals: lengths 1e-5 to .1", _ROUNDING, with_values(normal=_lengths(1e-5, 0.1))),
+    _case("Normals: lengths 1e-20 to 1e-7", _SHORT, with_values(normal=_lengths(1e-20, 1e-7))),
+    _case("Normals: zero", _SHORT, with_values(normal=_times(0))),
+    _case("Normals: denormal, 1e-40", f"{_FLUSH}; {_SHORT}", with_values(normal=_times(1e-40))),
 )
 
 _LIGHT_CASES = (
-    _case("Light and albedo: light 1e-8", _ROUNDING, changed(light=_times(1e-8))),
-    _case("Light and albedo: light 1e8", _ROUNDING, changed(light=_times(1e8))),
+    _case("Light and albedo: light 1e-8", _ROUNDING, with_values(light=_times(1e-8))),
+    _case("Light and albedo: light 1e8", _ROUNDING, with_values(light=_times(1e8))),
     _case(
-        "Light and albedo: all coefficients negative", _ROUNDING, changed(light=lambda light: -np.abs(light))
+        "Light and albedo: all coefficients negative",
+        _ROUNDING,
+        with_values(light=lambda light: -np.abs(light)),
     ),
-    _case("Light and albedo: only band 2", _ROUNDING, changed(light=_bands(2))),
-    _case("Light and albedo: ringing, shading below 0", "not clamped", changed(light=_ringing)),
-    _case("Light and albedo: light 0", "exact", changed(light=_times(0))),
+    _case("Light and albedo: only band 2", _ROUNDING, with_values(light=_bands(2))),
+    _case("Light and albedo: ringing, shading below 0", "not clamped", with_values(light=_ringing)),
+    _case("Light and albedo: light 0", "exact", with_values(light=_times(0))),
     _case(
         "Light and albedo: light denormal, 1e-40",
         _FLUSH,
-        changed(light=_times(1e-40)),
+        with_values(light=_times(1e-40)),
         Bound(floor=_FLOOR, gradient_floor=100 * _FLOOR),
     ),
-    _case("Light and albedo: albedo 0", "exact", changed(albedo=_times(0))),
-    _case("Light and albedo: albedo 1e4", _ROUNDING, changed(albedo=_times(1e4))),
+    _case("Light and albedo: albedo 0", "exact", with_values(albedo=_times(0))),
+    _case("Light and albedo: albedo 1e4", _ROUNDING, with_values(albedo=_times(1e4))),
     _case(
         "Light and albedo: albedo 1e4 under light 1e8",
         _ROUNDING,
-        changed(albedo=_times(1e4), light=_times(1e8)),
+        with_values(albedo=_times(1e4), light=_times(1e8)),
     ),
     _case(
         "Light and albedo: albedo denormal, 1e-40",
         _FLUSH,
-        changed(albedo=_times(1e-40)),
+        with_values(albedo=_times(1e-40)),
         Bound(floor=_FLOOR, gradient_floor=100 * _FLOOR),
     ),
     _case("Light and albedo: order 0", _ROUNDING, _order(0)),
@@ -293,12 +297,20 @@ _SHAPE_CASES = (
     _case("Shape and mask: image 1 x 1", _ROUNDING, _size(1, 1, 1)),
     _case("Shape and mask: 17 images of 1 x 3", _ROUNDING, _size(17, 1, 3)),
     _case("Shape and mask: 128 x 128, shared by threads", _ROUNDING, _size(2, 128, 128)),
-    _case("Shape and mask: mask of 0 and 1", _ROUNDING, changed(mask=_binary)),
+    _case("Shape and mask: mask of 0 and 1", _ROUNDING, with_values(mask=_binary)),
     _case("Shape and mask: mask 0", "0 by definition", _mask(0.0)),
     _case("Shape and mask: mask 1e-30", "the divisor is at least 1", _mask(1e-30)),
-    _case("Shape and mask: empty batch", "nothing to render", _size(0, 4, 4), Refusal("no empty dimension")),
     _case(
-        "Shape and mask: image of no rows", "nothing to render", _size(1, 0, 4), Refusal("no empty dimension")
+        "Shape and mask: empty batch",
+        "nothing to render",
+        _size(0, 4, 4),
+        ExpectedError("no empty dimension"),
+    ),
+    _case(
+        "Shape and mask: image of no rows",
+        "nothing to render",
+        _size(1, 0, 4),
+        ExpectedError("no empty dimension"),
     ),
 )
 
@@ -313,30 +325,36 @@ _KINK_CASES = (
     _case(
         "Kinks: normals of the shortest length, 1e-6",
         "between the derivatives of both sides",
-        changed(normal=_times(1e-6)),
+        with_values(normal=_times(1e-6)),
         Bound(kink="length"),
     ),
     _case(
         "Kinks: the same along the axes",
         "between the derivatives of both sides",
-        changed(normal=lambda n: 1e-6 * _axes(n)),
+        with_values(normal=lambda n: 1e-6 * _axes(n)),
         Bound(kink="length"),
     ),
     _case(
         "Kinks: components of equal length",
         "shortening has no derivative",
-        changed(normal=lambda n: 5 * np.sign(n)),
+        with_values(normal=lambda n: 5 * np.sign(n)),
     ),
 )
 
 _WHERE = {0: "masked out", 1: "counted"}
 _POISON_CASES = tuple(
-    Case("NaN and inf", f"{value} in {argument}, {place}", _KEPT, poisoned(argument, value, row), NotFinite())
+    Case(
+        "NaN and inf",
+        f"{value} in {argument}, {place}",
+        _KEPT,
+        with_nan(argument, value, row),
+        ExpectedNonFinite(),
+    )
     for argument in ("normal", "albedo", "image")
     for value in (np.nan, np.inf)
     for row, place in _WHERE.items()
 ) + tuple(
-    Case("NaN and inf", f"{value} in {argument}", _KEPT, poisoned(argument, value, 1), NotFinite())
+    Case("NaN and inf", f"{value} in {argument}", _KEPT, with_nan(argument, value, 1), ExpectedNonFinite())
     for argument in ("light", "mask")
     for value in (np.nan, np.inf)
 )

@@ -13,9 +13,9 @@ from torch import Tensor
 
 from sfsnet_dr.core.conventions import NORMAL_EPSILON
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.experiments.stability.backends import DIFFERENTIABLE, Form, Inputs
-from sfsnet_dr.experiments.stability.cases import Bound, Case, NotFinite, Refusal
-from sfsnet_dr.experiments.stability.expected import loss_truth, render_truth
+from sfsnet_dr.experiments.stability.backends import DIFFERENTIABLE, ComputeBackend, Inputs
+from sfsnet_dr.experiments.stability.cases import Bound, Case, ExpectedError, ExpectedNonFinite
+from sfsnet_dr.experiments.stability.expected import expected_image, expected_loss
 
 Array = npt.NDArray[np.float64]
 
@@ -73,7 +73,7 @@ class _Error(NamedTuple):
         return f"{what}: off by {self.ulp:.3g} ulp, {allowed:g} allowed" if self.ulp > allowed else ""
 
 
-def judge(form: Form, case: Case, dtype: str) -> Outcome:
+def compare_with_expected(form: ComputeBackend, case: Case, dtype: str) -> Outcome:
     """Run a form on a case, twice, and compare with the truth. It never raises for what the form does."""
     seed = zlib.crc32(case.name.encode())
     leaves = {
@@ -84,11 +84,11 @@ def judge(form: Form, case: Case, dtype: str) -> Outcome:
     try:
         first, second = _run(form, case, leaves), _run(form, case, leaves)
     except InputError as error:
-        expected = isinstance(case.expect, Refusal) and case.expect.words in str(error)
+        expected = isinstance(case.expect, ExpectedError) and case.expect.words in str(error)
         return replace(nothing, refused=str(error), problem="" if expected else f"refused: {error}")
     except Exception as error:  # whatever a form raises belongs into its row
         return replace(nothing, problem=f"{type(error).__name__}: {error}")
-    if isinstance(case.expect, Refusal):
+    if isinstance(case.expect, ExpectedError):
         return replace(nothing, problem="accepted, a InputError is expected")
     if list(map(_bits, first)) != list(map(_bits, second)):
         return replace(nothing, problem="a second run gives other bits")
@@ -96,7 +96,7 @@ def judge(form: Form, case: Case, dtype: str) -> Outcome:
         return _compare(form, case, leaves, first, nothing)
 
 
-def _run(form: Form, case: Case, leaves: dict[str, Tensor]) -> list[Tensor]:
+def _run(form: ComputeBackend, case: Case, leaves: dict[str, Tensor]) -> list[Tensor]:
     """Value and gradients of all leaves that get them."""
     with form.flags():
         value = form.call(case.build(leaves))
@@ -127,7 +127,7 @@ def _bits(tensor: Tensor) -> bytes:
 
 
 def _compare(
-    form: Form, case: Case, leaves: dict[str, Tensor], found: list[Tensor], nothing: Outcome
+    form: ComputeBackend, case: Case, leaves: dict[str, Tensor], found: list[Tensor], nothing: Outcome
 ) -> Outcome:
     bound = case.expect if isinstance(case.expect, Bound) else Bound()
     answers = [_answer(form, case, leaves, found[0], epsilon) for epsilon in _epsilons(bound)]
@@ -135,7 +135,7 @@ def _compare(
     problems = [value.complaint("value", bound.value)]
     errors = []
     # One number that is not finite says enough: the loss's gradients need not say it again.
-    judged = [] if isinstance(case.expect, NotFinite) and form.kind == "loss" else found[1:]
+    judged = [] if isinstance(case.expect, ExpectedNonFinite) and form.kind == "loss" else found[1:]
     names = [name for name, leaf in leaves.items() if leaf.requires_grad]
     for index, grad in enumerate(judged):
         scale = answers[0].grad_scales[index]
@@ -160,7 +160,9 @@ def _epsilons(bound: Bound) -> list[float]:
     return [NORMAL_EPSILON * (1 + side * _NEAR_THE_KINK) for side in (-1, 1)]
 
 
-def _answer(form: Form, case: Case, leaves: dict[str, Tensor], value: Tensor, epsilon: float) -> _Answer:
+def _answer(
+    form: ComputeBackend, case: Case, leaves: dict[str, Tensor], value: Tensor, epsilon: float
+) -> _Answer:
     copies = [
         {name: leaf.detach().double().requires_grad_(leaf.requires_grad) for name, leaf in leaves.items()}
         for _ in range(2)
@@ -168,12 +170,12 @@ def _answer(form: Form, case: Case, leaves: dict[str, Tensor], value: Tensor, ep
     arguments = [_expanded(case.build(copy)) for copy in copies]
     normal, albedo, light, image, mask = (t.detach().numpy() for t in arguments[0])
     if form.kind == "loss":
-        truth = loss_truth(normal, albedo, light, image, mask, epsilon)
+        truth = expected_loss(normal, albedo, light, image, mask, epsilon)
     else:
         weights = _weights(value).double().numpy()
         # The form without gradients is NumPy's, the one that evaluates the basis by recurrence.
         by_polynomials = not form.differentiable
-        truth = render_truth(normal, albedo, light, weights, epsilon, polynomials=by_polynomials)
+        truth = expected_image(normal, albedo, light, weights, epsilon, polynomials=by_polynomials)
     grads, scales = (
         _at_leaves(copy, inputs, parts)
         for copy, inputs, parts in zip(copies, arguments, (truth.grads, truth.grad_scales), strict=True)

@@ -26,7 +26,7 @@ Array = npt.NDArray[np.float64]
 _STEP = 1e-30  # of the complex step: no difference is taken, so that it may be this small
 
 
-class Truth(NamedTuple):
+class ExpectedResult(NamedTuple):
     """Value and gradients, each with its scale.
 
     Attributes:
@@ -42,7 +42,7 @@ class Truth(NamedTuple):
     grad_scales: tuple[Array, Array, Array]
 
 
-def render_truth(
+def expected_image(
     normal: Array,
     albedo: Array,
     light: Array,
@@ -50,7 +50,7 @@ def render_truth(
     epsilon: float = NORMAL_EPSILON,
     *,
     polynomials: bool = False,
-) -> Truth:
+) -> ExpectedResult:
     """f_render and the gradients of its sum weighted by ``weights`` (B, 3, H, W).
 
     Args:
@@ -88,24 +88,24 @@ def render_truth(
         np.abs(weights) * brightest,
         np.einsum("bchw,k->bck", np.abs(arriving), most).reshape(light.shape),
     )
-    return Truth(albedo * shading, np.abs(albedo) * brightest, grads, grad_scales)
+    return ExpectedResult(albedo * shading, np.abs(albedo) * brightest, grads, grad_scales)
 
 
-def loss_truth(
+def expected_loss(
     normal: Array, albedo: Array, light: Array, image: Array, mask: Array, epsilon: float = NORMAL_EPSILON
-) -> Truth:
+) -> ExpectedResult:
     """The reconstruction loss, shapes as ``reconstruction_l1`` after broadcasting."""
     denominator = max(COLOURS * mask.sum(), 1.0)
-    rendered = render_truth(normal, albedo, light, np.zeros_like(image), epsilon)
+    rendered = expected_image(normal, albedo, light, np.zeros_like(image), epsilon)
     residual = image - rendered.value
     weights = -np.sign(residual) * mask / denominator
     # Where the residual is 0 its sign may come out either way; the scale counts such pixels fully.
     there = np.broadcast_to(mask / denominator, image.shape)
-    found = render_truth(normal, albedo, light, weights, epsilon)
-    scales = render_truth(normal, albedo, light, np.asarray(there), epsilon).grad_scales
+    found = expected_image(normal, albedo, light, weights, epsilon)
+    scales = expected_image(normal, albedo, light, np.asarray(there), epsilon).grad_scales
     value = np.sum(mask * np.abs(residual)) / denominator
     scale = np.sum(mask * (np.abs(image) + rendered.scale)) / denominator
-    return Truth(np.asarray(value), np.asarray(scale), found.grads, scales)
+    return ExpectedResult(np.asarray(value), np.asarray(scale), found.grads, scales)
 
 
 def _polynomial_basis(direction: Array, order: int) -> Array:

@@ -9,14 +9,14 @@ import sys
 from collections.abc import Sequence
 from typing import Final
 
-from sfsnet_dr.experiments.stability.backends import FORMS, Form
+from sfsnet_dr.experiments.stability.backends import FORMS, ComputeBackend
 from sfsnet_dr.experiments.stability.process_case import Finding, ProcessCase
 
 #: What Python runs in a child; the names of case and forms follow.
 CHILD: Final = ("-m", "sfsnet_dr.experiments.stability.child")
 
 
-def concerned(case: ProcessCase) -> list[Form]:
+def cases_in_subprocess(case: ProcessCase) -> list[ComputeBackend]:
     """The forms that a case is about."""
     return [
         form
@@ -25,12 +25,12 @@ def concerned(case: ProcessCase) -> list[Form]:
     ]
 
 
-def run_isolated(case: ProcessCase) -> dict[str, Finding]:
+def run_in_subprocess(case: ProcessCase) -> dict[str, Finding]:
     """Findings of every form concerned, by its name.
 
     A child that dies or hangs is the failure of the form that it had; the others go on in a new one.
     """
-    left = [form.name for form in concerned(case)]
+    left = [form.name for form in cases_in_subprocess(case)]
     findings: dict[str, Finding] = {}
     while left:
         names = left[:1] if case.alone else left

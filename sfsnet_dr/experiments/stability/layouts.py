@@ -9,7 +9,15 @@ import torch
 from torch import Tensor
 
 from sfsnet_dr.experiments.stability.backends import Inputs
-from sfsnet_dr.experiments.stability.cases import Bound, Case, Leaves, Rng, by_name, ordinary, with_image
+from sfsnet_dr.experiments.stability.cases import (
+    Bound,
+    Case,
+    Leaves,
+    Rng,
+    default_case,
+    find_case,
+    with_image,
+)
 
 _VIEW: Final = "the layout does not change a bit of the numbers"
 _IMAGES: Final = ("normal", "albedo", "image", "mask")
@@ -30,14 +38,14 @@ def _stored(*dims: int) -> Callable[[Rng], Leaves]:
     """Images whose memory has its dimensions in another order."""
 
     def make(rng: Rng) -> Leaves:
-        return {n: v.transpose(dims).copy() if n in _IMAGES else v for n, v in ordinary(rng).items()}
+        return {n: v.transpose(dims).copy() if n in _IMAGES else v for n, v in default_case(rng).items()}
 
     return make
 
 
 def _wider(rng: Rng) -> Leaves:
     """Images with a margin that views leave out."""
-    leaves = ordinary(rng, 4, 25, 26)
+    leaves = default_case(rng, 4, 25, 26)
     leaves["light"] = leaves["light"][:2]
     return leaves
 
@@ -46,7 +54,7 @@ def _single(*names: str) -> Callable[[Rng], Leaves]:
     """A batch of 3 of which some arguments have one entry for all."""
 
     def make(rng: Rng) -> Leaves:
-        leaves = ordinary(rng, batch=3)
+        leaves = default_case(rng, batch=3)
         one = {name: leaves[name][:1] for name in names}
         full = {name: value.repeat(3, axis=0) for name, value in one.items()}
         return with_image(leaves | full, rng) | one
@@ -56,7 +64,7 @@ def _single(*names: str) -> Callable[[Rng], Leaves]:
 
 def _one_buffer(rng: Rng) -> Leaves:
     """Normals and albedo lie over each other in one buffer."""
-    leaves = ordinary(rng)
+    leaves = default_case(rng)
     buffer = rng.uniform(0.1, 1, 2 * 3 * 12 * 12 + 40)
     return {"buffer": buffer, "light": leaves["light"], "image": 10 + leaves["image"], "mask": leaves["mask"]}
 
@@ -71,13 +79,13 @@ def _windows(leaves: dict[str, Tensor]) -> Inputs:
 
 def _constant(rng: Rng) -> Leaves:
     """One normal and one albedo for all pixels, one mask value; images bright enough to stay apart."""
-    leaves = ordinary(rng)
+    leaves = default_case(rng)
     first = {name: leaves[name][:, :, 1:2, 1:2] for name in ("normal", "albedo", "mask")}
     return leaves | first | {"image": 20 + leaves["image"]}
 
 
 def _shared(rng: Rng) -> Leaves:
-    leaves = ordinary(rng)
+    leaves = default_case(rng)
     return {
         "both": leaves["normal"],
         "light": leaves["light"],
@@ -87,7 +95,7 @@ def _shared(rng: Rng) -> Leaves:
 
 
 def _all_one(rng: Rng) -> Leaves:
-    leaves = ordinary(rng)
+    leaves = default_case(rng)
     return {"all": 3 + leaves["normal"], "light": leaves["light"]}
 
 
@@ -103,7 +111,7 @@ def _case(
 
 #: All of them, in the order of the page.
 CASES: Final = (
-    _case("channels last", ordinary, _each(_channels_last)),
+    _case("channels last", default_case, _each(_channels_last)),
     _case("stored as (H, W, C, B)", _stored(2, 3, 1, 0), _each(lambda t: t.permute(3, 2, 0, 1))),
     _case("stored as (B, H, W, C)", _stored(0, 2, 3, 1), _each(lambda t: t.permute(0, 3, 1, 2))),
     _case("every other image, row and column", _wider, _each(lambda t: t[::2, :, 1::2, 2::2])),
@@ -113,8 +121,8 @@ CASES: Final = (
         _wider,
         lambda leaves: Inputs(**{n: leaf[1:2] for n, leaf in leaves.items()}),
     ),
-    _case("one light for a batch", _single("light"), by_name),
-    _case("one face for a batch", _single("normal", "albedo"), by_name),
+    _case("one light for a batch", _single("light"), find_case),
+    _case("one face for a batch", _single("normal", "albedo"), find_case),
     _case("one pixel expanded to images", _constant, _each(lambda t: t.expand(-1, -1, 12, 12))),
     _case(
         "windows that overlap in one buffer",

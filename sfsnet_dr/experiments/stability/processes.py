@@ -29,14 +29,14 @@ def _fork_after(name: str) -> Finding:
 
 def _fork_between(name: str) -> Finding:
     """The graph is made before the fork, the backward pass is asked for after it."""
-    from sfsnet_dr.experiments.stability.backends import form_named
-    from sfsnet_dr.experiments.stability.workload import backward, bits, forward, inputs
+    from sfsnet_dr.experiments.stability.backends import find_backend
+    from sfsnet_dr.experiments.stability.workload import float_bits, make_inputs, run_backward, run_forward
 
-    form, arguments = form_named(name), inputs(0, 2, 256, 256)
-    total = forward(form, arguments)
-    backward(form, forward(form, arguments), arguments)  # starts all threads
-    expected = _alone(lambda: bits(total, *backward(form, forward(form, arguments), arguments)))
-    child = _forked(lambda: _alone(lambda: bits(total, *backward(form, total, arguments))))
+    form, arguments = find_backend(name), make_inputs(0, 2, 256, 256)
+    total = run_forward(form, arguments)
+    run_backward(form, run_forward(form, arguments), arguments)  # starts all threads
+    expected = _alone(lambda: float_bits(total, *run_backward(form, run_forward(form, arguments), arguments)))
+    child = _forked(lambda: _alone(lambda: float_bits(total, *run_backward(form, total, arguments))))
     return _same_or_refused(name, expected, _read(child))
 
 
@@ -51,12 +51,12 @@ def _expanded(name: str) -> Finding:
     """1.5 times 2^31 numbers in views of one pixel: computing them would take 12 GB and more."""
     import torch
 
-    from sfsnet_dr.experiments.stability.backends import Inputs, form_named
+    from sfsnet_dr.experiments.stability.backends import Inputs, find_backend
 
     images = torch.ones(1, 3, 1, 1).expand(1, 3, 2**15, 2**15)
     light = torch.ones(1, 27)
     try:
-        form_named(name).call(Inputs(images, images, light, images, images[:, :1]))
+        find_backend(name).call(Inputs(images, images, light, images, images[:, :1]))
     except InputError as error:
         return Finding(0, refused=str(error))
     return Finding(0, "accepted, a InputError is expected")
@@ -66,10 +66,10 @@ def _far_apart(name: str) -> Finding:
     """Channels 2^30 elements apart, so that the last lies beyond 2^31; only touched pages are in memory."""
     import torch
 
-    from sfsnet_dr.experiments.stability.backends import form_named
-    from sfsnet_dr.experiments.stability.workload import inputs
+    from sfsnet_dr.experiments.stability.backends import find_backend
+    from sfsnet_dr.experiments.stability.workload import make_inputs
 
-    form, near = form_named(name), inputs(0, 1, 4, 4)
+    form, near = find_backend(name), make_inputs(0, 1, 4, 4)
     near = near._replace(
         **{n: getattr(near, n).detach().bfloat16().requires_grad_() for n in ("normal", "albedo")}
     )
@@ -86,10 +86,10 @@ def _far_apart(name: str) -> Finding:
 
 
 def _bfloat16_digest(form: Any, arguments: Any) -> str:
-    from sfsnet_dr.experiments.stability.workload import backward, bits, forward
+    from sfsnet_dr.experiments.stability.workload import float_bits, run_backward, run_forward
 
-    total = forward(form, arguments)
-    return bits(total, *(grad.float() for grad in backward(form, total, arguments)))
+    total = run_forward(form, arguments)
+    return float_bits(total, *(grad.float() for grad in run_backward(form, total, arguments)))
 
 
 def _alone(work: Callable[[], str]) -> str:
@@ -148,9 +148,9 @@ def _same(found: list[str]) -> Finding:
 
 
 def _same_or_refused(name: str, expected: str, found: str) -> Finding:
-    from sfsnet_dr.experiments.stability.backends import form_named
+    from sfsnet_dr.experiments.stability.backends import find_backend
 
-    if not form_named(name).jit:
+    if not find_backend(name).jit:
         return _same([found, expected])
     if "process forked" in found:
         return Finding(0, refused=found.removeprefix("refused: "))

@@ -24,15 +24,15 @@ _FAST_MATH: Final = 4.8e-7
 
 
 def _calls(name: str) -> Finding:
-    from sfsnet_dr.experiments.stability.backends import form_named
-    from sfsnet_dr.experiments.stability.workload import digest, inputs
+    from sfsnet_dr.experiments.stability.backends import find_backend
+    from sfsnet_dr.experiments.stability.workload import make_inputs, result_digest
 
-    form, arguments = form_named(name), inputs(0, 1, 4, 4)
-    expected = [digest(form, arguments) for _ in range(200)][-1]
+    form, arguments = find_backend(name), make_inputs(0, 1, 4, 4)
+    expected = [result_digest(form, arguments) for _ in range(200)][-1]
     count = _kernel_counter()
     start, compiled = _peak_megabytes(), 0
     for call in range(CALLS):
-        if digest(form, arguments) != expected:
+        if result_digest(form, arguments) != expected:
             return Finding(call, f"call {call} gives other bits")
         compiled += count()
     growth = _peak_megabytes() - start
@@ -42,18 +42,18 @@ def _calls(name: str) -> Finding:
 
 
 def _image_sizes(name: str) -> Finding:
-    from sfsnet_dr.experiments.stability.backends import form_named
-    from sfsnet_dr.experiments.stability.workload import digest, inputs
+    from sfsnet_dr.experiments.stability.backends import find_backend
+    from sfsnet_dr.experiments.stability.workload import make_inputs, result_digest
 
-    form, count = form_named(name), _kernel_counter()
-    digest(form, inputs(0, 2, 3, 3))  # what does not depend on the size of an image
+    form, count = find_backend(name), _kernel_counter()
+    result_digest(form, make_inputs(0, 2, 3, 3))  # what does not depend on the size of an image
     count()
     most = 0
     for height, width in _SIZES:
-        digest(form, inputs(0, 2, height, width))
+        result_digest(form, make_inputs(0, 2, height, width))
         most = max(most, count())
-        digest(form, inputs(0, 5, height, width))
-        digest(form, inputs(0, 4, width, height))
+        result_digest(form, make_inputs(0, 5, height, width))
+        result_digest(form, make_inputs(0, 4, width, height))
         again = count()
         if again:
             return Finding(again, f"{again} kernels compiled for another batch size")
@@ -61,55 +61,63 @@ def _image_sizes(name: str) -> Finding:
 
 
 def _threads(name: str) -> Finding:
-    from sfsnet_dr.experiments.stability.backends import form_named
-    from sfsnet_dr.experiments.stability.workload import digest, inputs
+    from sfsnet_dr.experiments.stability.backends import find_backend
+    from sfsnet_dr.experiments.stability.workload import make_inputs, result_digest
 
-    form = form_named(name)
-    arguments = [inputs(seed, 1 + seed % 3, 40, 30) for seed in range(_THREADS)]
-    expected = [digest(form, a) for a in arguments]
+    form = find_backend(name)
+    arguments = [make_inputs(seed, 1 + seed % 3, 40, 30) for seed in range(_THREADS)]
+    expected = [result_digest(form, a) for a in arguments]
 
     def work(index: int) -> int:
-        return sum(digest(form, arguments[index]) != expected[index] for _ in range(_RUNS))
+        return sum(result_digest(form, arguments[index]) != expected[index] for _ in range(_RUNS))
 
     return _in_threads(work, _RUNS)
 
 
 def _backward_threads(name: str) -> Finding:
     """Forward passes here, each graph differentiated by a thread of its own, all at once."""
-    from sfsnet_dr.experiments.stability.backends import form_named
-    from sfsnet_dr.experiments.stability.workload import backward, bits, digest, forward, inputs
+    from sfsnet_dr.experiments.stability.backends import find_backend
+    from sfsnet_dr.experiments.stability.workload import (
+        float_bits,
+        make_inputs,
+        result_digest,
+        run_backward,
+        run_forward,
+    )
 
-    form = form_named(name)
-    arguments = [inputs(seed, 1 + seed % 3, 40, 30) for seed in range(_THREADS)]
-    expected = [digest(form, a) for a in arguments]
-    graphs = [[forward(form, a) for _ in range(_RUNS)] for a in arguments]
+    form = find_backend(name)
+    arguments = [make_inputs(seed, 1 + seed % 3, 40, 30) for seed in range(_THREADS)]
+    expected = [result_digest(form, a) for a in arguments]
+    graphs = [[run_forward(form, a) for _ in range(_RUNS)] for a in arguments]
 
     def work(index: int) -> int:
         there = arguments[index]
-        found = [bits(total, *backward(form, total, there)) for total in graphs[index]]
+        found = [float_bits(total, *run_backward(form, total, there)) for total in graphs[index]]
         return sum(f != expected[index] for f in found)
 
     return _in_threads(work, _RUNS)
 
 
 def _repeated(name: str) -> Finding:
-    from sfsnet_dr.experiments.stability.backends import form_named
-    from sfsnet_dr.experiments.stability.workload import digest, inputs
+    from sfsnet_dr.experiments.stability.backends import find_backend
+    from sfsnet_dr.experiments.stability.workload import make_inputs, result_digest
 
-    form, arguments = form_named(name), inputs(0, 5, 100, 100)
-    found = {digest(form, arguments) for _ in range(30)}
+    form, arguments = find_backend(name), make_inputs(0, 5, 100, 100)
+    found = {result_digest(form, arguments) for _ in range(30)}
     return Finding(30, "" if len(found) == 1 else f"{len(found)} different results in 30 runs")
 
 
 def _fast_math(name: str) -> Finding:
     from dataclasses import replace
 
-    from sfsnet_dr.experiments.stability.backends import form_named
-    from sfsnet_dr.experiments.stability.workload import bits, inputs, numbers
+    from sfsnet_dr.experiments.stability.backends import find_backend
+    from sfsnet_dr.experiments.stability.workload import flatten_results, float_bits, make_inputs
 
-    form, arguments = form_named(name), inputs(0, 5, 100, 100)
-    fast, strict, again = (numbers(replace(form, fast_math=on), arguments) for on in (True, False, True))
-    if bits(*fast) != bits(*again):
+    form, arguments = find_backend(name), make_inputs(0, 5, 100, 100)
+    fast, strict, again = (
+        flatten_results(replace(form, fast_math=on), arguments) for on in (True, False, True)
+    )
+    if float_bits(*fast) != float_bits(*again):
         return Finding(3, "FastMath gives other bits when it is switched on again")
     worst = max(float((a - b).abs().max() / b.abs().max()) for a, b in zip(fast, strict, strict=True))
     return Finding(

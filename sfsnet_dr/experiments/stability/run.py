@@ -18,21 +18,21 @@ from sfsnet_dr.core.files import output_dir, write_text
 from sfsnet_dr.experiments.stability import cases as hard_numbers
 from sfsnet_dr.experiments.stability import layouts
 from sfsnet_dr.experiments.stability.backends import FORMS, STRICT_FORMS
-from sfsnet_dr.experiments.stability.cases import Bound, Case, NotFinite
+from sfsnet_dr.experiments.stability.cases import Bound, Case, ExpectedNonFinite
 from sfsnet_dr.experiments.stability.child import PROCESS_CASES
-from sfsnet_dr.experiments.stability.compare import DTYPES, Outcome, judge
-from sfsnet_dr.experiments.stability.isolated import concerned, run_isolated
+from sfsnet_dr.experiments.stability.compare import DTYPES, Outcome, compare_with_expected
+from sfsnet_dr.experiments.stability.isolated import cases_in_subprocess, run_in_subprocess
 from sfsnet_dr.experiments.stability.process_case import Finding, ProcessCase
-from sfsnet_dr.report.console import bar
+from sfsnet_dr.report.console import progress_bar
 from sfsnet_dr.report.html import Block, KeyNumbers, Note, Section, Table, write_page
-from sfsnet_dr.report.record import Record, dotted, measured, write_records
+from sfsnet_dr.report.record import Record, dotted_word, make_record, write_records
 
 #: Cases that run here.
 NUMBER_CASES: Final = (*hard_numbers.CASES, *layouts.CASES)
 
 
 @dataclass(frozen=True)
-class Study:
+class StabilityResult:
     """All cases that were run, with what came out.
 
     Attributes:
@@ -69,9 +69,9 @@ class Study:
         ]
 
 
-def stability(
+def run_stability(
     out: Path | str, only: str = "", *, command: str = "sfsnet-dr stability"
-) -> tuple[Study, list[Record]]:
+) -> tuple[StabilityResult, list[Record]]:
     """Run the cases and write ``records.json``, ``cases.csv`` and ``index.html``.
 
     Args:
@@ -85,24 +85,24 @@ def stability(
 
     numbers, processes = _chosen(only)
     folder = output_dir(out)
-    steps = len(numbers) + sum(len(concerned(case)) for case in processes)
-    with bar("cases", steps) as step:
-        study = Study(
+    steps = len(numbers) + sum(len(cases_in_subprocess(case)) for case in processes)
+    with progress_bar("cases", steps) as step:
+        study = StabilityResult(
             [(case, _judged(case, step)) for case in numbers],
             [(case, _isolated(case, step)) for case in processes],
         )
-    found = records(study, command)
+    found = stability_records(study, command)
     write_records(folder / "records.json", found)
     write_text(folder / "cases.csv", to_csv(study))
     write_stability_page(folder / "index.html", study)
     return study, found
 
 
-def records(study: Study, command: str) -> list[Record]:
+def stability_records(study: StabilityResult, command: str) -> list[Record]:
     """Cases, failures, the worst errors of every form and precision, memory and kernels."""
 
     def record(what: str, value: float, unit: str) -> Record:
-        return measured(f"stability.{what}", value, unit, command=command)
+        return make_record(f"stability.{what}", value, unit, command=command)
 
     found = [
         record("cases", study.cases, "cases"),
@@ -111,16 +111,16 @@ def records(study: Study, command: str) -> list[Record]:
     ]
     for form in FORMS:
         for dtype in DTYPES:
-            for what, value in worst(study, form.name, dtype).items():
+            for what, value in worst_outcome(study, form.name, dtype).items():
                 unit = "ulp" if what.endswith("ulp") else "1"
-                found.append(record(f"worst.{dotted(form.name)}.{dtype}.{what}", value, unit))
+                found.append(record(f"worst.{dotted_word(form.name)}.{dtype}.{what}", value, unit))
     for case, findings in study.processes:
         for name, finding in findings.items():
-            found.append(record(f"{dotted(case.name)}.{dotted(name)}", finding.figure, case.unit))
+            found.append(record(f"{dotted_word(case.name)}.{dotted_word(name)}", finding.figure, case.unit))
     return found
 
 
-def worst(study: Study, form: str, dtype: str) -> dict[str, float]:
+def worst_outcome(study: StabilityResult, form: str, dtype: str) -> dict[str, float]:
     """The worst errors of a form over all cases with a bound; relative ones where nothing underflows.
 
     Nothing for what the form does not give.
@@ -146,7 +146,7 @@ def worst(study: Study, form: str, dtype: str) -> dict[str, float]:
     }
 
 
-def to_csv(study: Study) -> str:
+def to_csv(study: StabilityResult) -> str:
     """One line for each outcome; those of processes have their figure in place of the errors."""
     text = io.StringIO()
     names = [field.name for field in fields(Outcome)]
@@ -173,14 +173,14 @@ def _chosen(only: str) -> tuple[list[Case], list[ProcessCase]]:
 
 
 def _judged(case: Case, step: Callable[[], None]) -> list[Outcome]:
-    outcomes = [judge(form, case, dtype) for form in FORMS for dtype in DTYPES]
-    outcomes += [judge(form, case, "float32") for form in STRICT_FORMS]
+    outcomes = [compare_with_expected(form, case, dtype) for form in FORMS for dtype in DTYPES]
+    outcomes += [compare_with_expected(form, case, "float32") for form in STRICT_FORMS]
     step()
     return outcomes
 
 
 def _isolated(case: ProcessCase, step: Callable[[], None]) -> dict[str, Finding]:
-    findings = run_isolated(case)
+    findings = run_in_subprocess(case)
     for _ in findings:
         step()
     return findings
@@ -219,7 +219,7 @@ _LEAD = {
 }
 
 
-def write_stability_page(path: Path, study: Study) -> None:
+def write_stability_page(path: Path, study: StabilityResult) -> None:
     """Write the page, self-contained."""
     groups = dict.fromkeys(case.group for case, _ in study.numbers)
     sections = [_summary(study), *(_group(study, group) for group in groups)]
@@ -231,13 +231,13 @@ def write_stability_page(path: Path, study: Study) -> None:
     write_page(path, "Stability of the renderers and the loss", _lead(study), sections, footer=footer)
 
 
-def _lead(study: Study) -> str:
+def _lead(study: StabilityResult) -> str:
     count = len(study.failures())
     found = "none fails" if count == 0 else f"{count} fail"
     return f"{study.cases} hard cases, {study.checks} checks of value and gradient: {found}."
 
 
-def _summary(study: Study) -> Section:
+def _summary(study: StabilityResult) -> Section:
     numbers = KeyNumbers(
         [
             (str(study.cases), "hard cases"),
@@ -249,7 +249,7 @@ def _summary(study: Study) -> Section:
     return Section("How to read this", [numbers, *failures, *_HOW])
 
 
-def _group(study: Study, group: str) -> Section:
+def _group(study: StabilityResult, group: str) -> Section:
     rows = [
         [case.name, *(_cell(case, outcomes, form.name) for form in FORMS), _expected(case)]
         for case, outcomes in study.numbers
@@ -266,7 +266,7 @@ def _cell(case: Case, outcomes: list[Outcome], form: str) -> str:
         return "FAILS"
     if all(o.refused for o in here):
         return "refused"
-    if isinstance(case.expect, NotFinite):
+    if isinstance(case.expect, ExpectedNonFinite):
         return "shown"
     value, gradient = max(o.value_ulp for o in here), max(o.gradient_ulp for o in here)
     return f"{value:.1f}" if form == "numpy" else _pair(f"{value:.1f}", f"{gradient:.1f}")
@@ -284,14 +284,14 @@ def _expected(case: Case) -> str:
         if expect.floor or expect.gradient_floor:
             floors = _pair(f"{expect.floor:.1g}", f"{expect.gradient_floor:.1g}")
             bound += f" more than an absolute error of {floors}"
-    elif isinstance(expect, NotFinite):
+    elif isinstance(expect, ExpectedNonFinite):
         bound = "not hidden"
     else:
         bound = f"InputError: “{expect.words}”"
     return f"{bound}; {case.cause}"
 
 
-def _processes(study: Study) -> Section:
+def _processes(study: StabilityResult) -> Section:
     rows = []
     for case, findings in study.processes:
         cells = [_finding(case, findings.get(form.name)) for form in FORMS]
@@ -316,11 +316,11 @@ def _finding(case: ProcessCase, finding: Finding | None) -> str:
     return f"{finding.figure:.3g} {case.unit}"
 
 
-def _worst(study: Study) -> Section:
+def _worst(study: StabilityResult) -> Section:
     rows = []
     for form in FORMS:
         for dtype in DTYPES:
-            found = worst(study, form.name, dtype)
+            found = worst_outcome(study, form.name, dtype)
             cells = [_number(found, what) for what in _COLUMNS]
             rows.append([form.name, dtype, *cells])
     headers = ["form", "inputs", *_COLUMNS.values()]

@@ -34,7 +34,7 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from sfsnet_dr.experiments.validation.references import Pair
+from sfsnet_dr.experiments.validation.references import IndependentPair
 
 Image = npt.NDArray[np.float64]
 Cause = Literal["filter", "truncation", "visibility", "interreflection", "gloss", "noise"]
@@ -51,7 +51,7 @@ CAUSES: Final[tuple[Cause, ...]] = (
 
 
 @dataclass(frozen=True)
-class Part:
+class ErrorPart:
     """What one cause does.
 
     Attributes:
@@ -64,15 +64,15 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Step:
+class ErrorStep:
     """Two neighbouring images: ``upper`` is nearer to the model, ``lower`` to the truth."""
 
     cause: Cause
-    upper: Pair
-    lower: Pair
+    upper: IndependentPair
+    lower: IndependentPair
 
 
-def split(steps: list[Step], mask: Image, noise: float = 0.0) -> dict[Cause, Part]:
+def decompose_error(steps: list[ErrorStep], mask: Image, noise: float = 0.0) -> dict[Cause, ErrorPart]:
     """Split an error.
 
     Args:
@@ -86,13 +86,13 @@ def split(steps: list[Step], mask: Image, noise: float = 0.0) -> dict[Cause, Par
         an image without any, the shares are 0 too.
     """
     model, truth = steps[0].upper, steps[-1].lower
-    error = Pair(model.first - truth.first, model.second - truth.second)
-    power = _product(Pair(truth.first, truth.second), mask)
+    error = IndependentPair(model.first - truth.first, model.second - truth.second)
+    power = _product(IndependentPair(truth.first, truth.second), mask)
     total = _product(error, mask)
     shares, squares = dict.fromkeys(CAUSES, 0.0), dict.fromkeys(CAUSES, 0.0)
     for step in steps:
-        change = Pair(step.upper.first - step.lower.first, step.upper.second - step.lower.second)
-        crossed = (Pair(error.first, change.second), Pair(change.first, error.second))
+        change = IndependentPair(step.upper.first - step.lower.first, step.upper.second - step.lower.second)
+        crossed = (IndependentPair(error.first, change.second), IndependentPair(change.first, error.second))
         shares[step.cause] += sum(_product(pair, mask) for pair in crossed) / 2
         squares[step.cause] += _product(change, mask)
     for values in (shares, squares):
@@ -100,11 +100,11 @@ def split(steps: list[Step], mask: Image, noise: float = 0.0) -> dict[Cause, Par
         values["noise"] += noise
     whole = total if total > 0 else float("inf")
     return {
-        cause: Part(float(np.sqrt(max(squares[cause], 0.0) / power)), shares[cause] / whole)
+        cause: ErrorPart(float(np.sqrt(max(squares[cause], 0.0) / power)), shares[cause] / whole)
         for cause in CAUSES
     }
 
 
-def _product(pair: Pair, mask: Image) -> float:
+def _product(pair: IndependentPair, mask: Image) -> float:
     weighted = (pair.first * pair.second) * mask[..., None]
     return float(weighted.sum() / (weighted.shape[-1] * mask.sum()))

@@ -13,10 +13,15 @@ import numpy.typing as npt
 
 from sfsnet_dr.core.color import delta_e_2000
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.experiments.validation.error_sources import Cause, Part, Step, split
-from sfsnet_dr.experiments.validation.models import Known, Rung, know, ladder_rungs
-from sfsnet_dr.experiments.validation.references import FineMaps, Levels, Pair, trace_levels
-from sfsnet_dr.metrics.image import flip, has_flip, mae_8bit
+from sfsnet_dr.experiments.validation.error_sources import Cause, ErrorPart, ErrorStep, decompose_error
+from sfsnet_dr.experiments.validation.models import ModelInputs, ShadingModel, capture_inputs, shading_models
+from sfsnet_dr.experiments.validation.references import (
+    FineMaps,
+    IndependentPair,
+    LightPathImages,
+    trace_light_paths,
+)
+from sfsnet_dr.metrics.image import flip_metric, has_flip, mae_8bit
 from sfsnet_dr.metrics.noise_free import RelativeRmse, relative_rmse, worst_block
 from sfsnet_dr.render.path_tracer import path_trace
 from sfsnet_dr.scene.lights.light import Light
@@ -70,7 +75,7 @@ class Row:
     key: str
     group: str
     errors: Errors
-    parts: dict[Cause, Part]
+    parts: dict[Cause, ErrorPart]
     image: Image
 
 
@@ -100,8 +105,8 @@ class LightResult:
     light: Light
     rows: tuple[Row, ...]
     paths: tuple[PathTime, ...]
-    truth: Pair
-    plain: Pair
+    truth: IndependentPair
+    plain: IndependentPair
     floor: Errors
     variance: float
 
@@ -121,11 +126,11 @@ class LightResult:
 
 
 @dataclass(frozen=True)
-class Ladder:
+class SceneResults:
     """A subject's results: what the models know of it, and one result for each light."""
 
     subject: Subject
-    known: Known
+    known: ModelInputs
     results: tuple[LightResult, ...]
 
     @property
@@ -134,14 +139,14 @@ class Ladder:
         return self.subject.spec.name
 
 
-def climb(
+def measure_models(
     subject: Subject,
     lights: Sequence[Light],
     *,
     samples: int | None = None,
     seed: int = 0,
     on_light: Callable[[str], None] = lambda name: None,
-) -> Ladder:
+) -> SceneResults:
     """Measure every rung of the ladder.
 
     Args:
@@ -158,8 +163,8 @@ def climb(
         raise InputError("lights: none found, at least one expected")
     for light in lights:
         require_light(light)
-    rungs = ladder_rungs(subject.spec.has_gloss)
-    known = know(subject, seed, rungs)
+    rungs = shading_models(subject.spec.has_gloss)
+    known = capture_inputs(subject, seed, rungs)
     if not known.mask.any():
         raise InputError(
             f"{subject.spec.name}: no surface in view: no pixel is covered whole by what is counted"
@@ -168,14 +173,14 @@ def climb(
     samples = subject.spec.sampling.reference if samples is None else samples
     results = []
     for light in lights:
-        levels = trace_levels(scenes, subject, light, samples, seed)
+        levels = trace_light_paths(scenes, subject, light, samples, seed)
         scene = scenes.show(subject.mesh, subject.camera, light, gloss=subject.spec.has_gloss)
         results.append(_measure(light, levels, known, fine, rungs, partial(_path_times, scene, seed)))
         on_light(light.name)
-    return Ladder(subject, known, tuple(results))
+    return SceneResults(subject, known, tuple(results))
 
 
-def errors_of(image: Pair, truth: Pair, mask: Image) -> Errors:
+def measure_errors(image: IndependentPair, truth: IndependentPair, mask: Image) -> Errors:
     """All distances of an image, or of two that differ by noise, from the truth."""
     shown, reference = image.mean, truth.mean
     counted = mask > 0
@@ -184,16 +189,16 @@ def errors_of(image: Pair, truth: Pair, mask: Image) -> Errors:
         worst=worst_block(shown, *truth, mask),
         mae_8bit=mae_8bit(shown, reference, mask),
         delta_e=float(delta_e_2000(np.clip(shown[counted], 0, 1), np.clip(reference[counted], 0, 1)).mean()),
-        flip=flip(shown, reference, mask) if has_flip() else None,
+        flip=flip_metric(shown, reference, mask) if has_flip() else None,
     )
 
 
 def _measure(
     light: Light,
-    levels: Levels,
-    known: Known,
+    levels: LightPathImages,
+    known: ModelInputs,
     fine: FineMaps,
-    rungs: tuple[Rung, ...],
+    rungs: tuple[ShadingModel, ...],
     times: Callable[[float], tuple[PathTime, ...]],
 ) -> LightResult:
     complete = _twice(fine.complete(light))
@@ -201,8 +206,8 @@ def _measure(
     for rung in rungs:
         image = known.image(rung, light)
         steps = _steps(rung, _twice(image), light, levels, fine, complete)
-        parts = split(steps, known.mask, known.noise(rung, light))
-        errors = errors_of(_twice(image), levels.truth, known.mask)
+        parts = decompose_error(steps, known.mask, known.noise(rung, light))
+        errors = measure_errors(_twice(image), levels.truth, known.mask)
         rows.append(Row(rung.name, rung.key, rung.kind, errors, parts, image))
     rows += [_limit(name, key, steps, levels, known.mask) for name, key, steps in _limits(levels)]
     variance = _mean(levels.variance, known.mask)
@@ -213,45 +218,50 @@ def _measure(
         paths=times(variance / power),
         truth=levels.truth,
         plain=levels.diffuse,
-        floor=errors_of(_twice(levels.truth.first), _twice(levels.truth.second), known.mask),
+        floor=measure_errors(_twice(levels.truth.first), _twice(levels.truth.second), known.mask),
         variance=variance,
     )
 
 
 def _steps(
-    rung: Rung, image: Pair, light: Light, levels: Levels, fine: FineMaps, complete: Pair
-) -> list[Step]:
+    rung: ShadingModel,
+    image: IndependentPair,
+    light: Light,
+    levels: LightPathImages,
+    fine: FineMaps,
+    complete: IndependentPair,
+) -> list[ErrorStep]:
     """From a rung's image to the truth; see ``study.causes``."""
     further = _after_direct(levels)
     if rung.kind == "visibility":
-        return [Step("truncation", image, levels.direct), *further]
+        return [ErrorStep("truncation", image, levels.direct), *further]
     if rung.kind == "bounce":
-        return [Step("truncation", image, levels.bounce), *_after_bounce(levels)]
+        return [ErrorStep("truncation", image, levels.bounce), *_after_bounce(levels)]
     if rung.kind == "gloss" and levels.glossy_bounce is not None:
-        rest = Step("interreflection", levels.glossy_bounce, levels.truth)
-        return [Step("truncation", image, levels.glossy_bounce), rest]
+        rest = ErrorStep("interreflection", levels.glossy_bounce, levels.truth)
+        return [ErrorStep("truncation", image, levels.glossy_bounce), rest]
     truncated = _twice(fine.truncated(light, rung.order))
     return [
-        Step("filter", image, truncated),
-        Step("truncation", truncated, complete),
-        Step("visibility", complete, levels.direct),
+        ErrorStep("filter", image, truncated),
+        ErrorStep("truncation", truncated, complete),
+        ErrorStep("visibility", complete, levels.direct),
         *further,
     ]
 
 
-def _after_direct(levels: Levels) -> list[Step]:
-    return [Step("interreflection", levels.direct, levels.diffuse), *_gloss(levels)]
+def _after_direct(levels: LightPathImages) -> list[ErrorStep]:
+    return [ErrorStep("interreflection", levels.direct, levels.diffuse), *_gloss(levels)]
 
 
-def _after_bounce(levels: Levels) -> list[Step]:
-    return [Step("interreflection", levels.bounce, levels.diffuse), *_gloss(levels)]
+def _after_bounce(levels: LightPathImages) -> list[ErrorStep]:
+    return [ErrorStep("interreflection", levels.bounce, levels.diffuse), *_gloss(levels)]
 
 
-def _gloss(levels: Levels) -> list[Step]:
-    return [] if levels.glossy_bounce is None else [Step("gloss", levels.diffuse, levels.truth)]
+def _gloss(levels: LightPathImages) -> list[ErrorStep]:
+    return [] if levels.glossy_bounce is None else [ErrorStep("gloss", levels.diffuse, levels.truth)]
 
 
-def _limits(levels: Levels) -> list[tuple[str, str, list[Step]]]:
+def _limits(levels: LightPathImages) -> list[tuple[str, str, list[ErrorStep]]]:
     """Path tracers that leave something out, without their noise: what no cheaper model can beat."""
     found = [
         ("path traced, direct light", "path_direct", _after_direct(levels)),
@@ -263,9 +273,11 @@ def _limits(levels: Levels) -> list[tuple[str, str, list[Step]]]:
     ]
 
 
-def _limit(name: str, key: str, steps: list[Step], levels: Levels, mask: Image) -> Row:
+def _limit(name: str, key: str, steps: list[ErrorStep], levels: LightPathImages, mask: Image) -> Row:
     image = steps[0].upper
-    return Row(name, key, "path", errors_of(image, levels.truth, mask), split(steps, mask), image.mean)
+    return Row(
+        name, key, "path", measure_errors(image, levels.truth, mask), decompose_error(steps, mask), image.mean
+    )
 
 
 def _path_times(scene: SurfaceScene, seed: int, variance: float) -> tuple[PathTime, ...]:
@@ -277,8 +289,8 @@ def _path_times(scene: SurfaceScene, seed: int, variance: float) -> tuple[PathTi
     return tuple(found)
 
 
-def _twice(image: Image) -> Pair:
-    return Pair(image, image)
+def _twice(image: Image) -> IndependentPair:
+    return IndependentPair(image, image)
 
 
 def _mean(values: Image, mask: Image) -> float:

@@ -23,7 +23,7 @@ from sfsnet_dr.render.transport_shading import (
     relight_responses,
     weigh_responses,
 )
-from sfsnet_dr.scene.jit import dr, mi, upload
+from sfsnet_dr.scene.jit import dr, mi, upload_array
 from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
 from sfsnet_dr.scene.spec import FACE_SHAPES
@@ -41,7 +41,7 @@ _GLOSS_TERMS = 9
 
 
 @dataclass(frozen=True)
-class Rung:
+class ShadingModel:
     """One model.
 
     Attributes:
@@ -72,16 +72,21 @@ class Rung:
         return 4 * (read[self.kind] + 3)
 
 
-def ladder_rungs(gloss: bool) -> tuple[Rung, ...]:
+def shading_models(gloss: bool) -> tuple[ShadingModel, ...]:
     """All rungs, from the cheapest; the last one only for subjects with gloss."""
-    analytic = tuple(Rung(f"order {order}", "analytic", order) for order in range(5))
-    shadowed = tuple(Rung(f"order {order} + visibility", "visibility", order) for order in (2, 4))
-    bounced = tuple(Rung(f"order {order} + bounce", "bounce", order) for order in (2, 4))
-    return (*analytic, *shadowed, *bounced, *((Rung("order 4 + gloss", "gloss", 4),) if gloss else ()))
+    analytic = tuple(ShadingModel(f"order {order}", "analytic", order) for order in range(5))
+    shadowed = tuple(ShadingModel(f"order {order} + visibility", "visibility", order) for order in (2, 4))
+    bounced = tuple(ShadingModel(f"order {order} + bounce", "bounce", order) for order in (2, 4))
+    return (
+        *analytic,
+        *shadowed,
+        *bounced,
+        *((ShadingModel("order 4 + gloss", "gloss", 4),) if gloss else ()),
+    )
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class ModelInputs:
     """What the models know of a subject.
 
     Attributes:
@@ -97,7 +102,7 @@ class Known:
     seconds: dict[Kind, float]
     _planes: dict[str, Any] = field(default_factory=dict)
 
-    def inputs(self, rung: Rung) -> tuple[Any, ...]:
+    def inputs(self, rung: ShadingModel) -> tuple[Any, ...]:
         """Dr.Jit arrays that the rung's kernel reads."""
         if rung.kind not in self._planes:
             made = (
@@ -109,13 +114,15 @@ class Known:
             return planes
         return (planes[0][: (rung.order + 1) ** 2], planes[1])
 
-    def image(self, rung: Rung, light: Light) -> Image:
+    def image(self, rung: ShadingModel, light: Light) -> Image:
         """(H, W, 3) of a rung under a light."""
-        values = kernel_of(rung)(*self.inputs(rung), *weights(rung, light.coefficients(rung.order)))
+        values = shading_kernel(rung)(
+            *self.inputs(rung), *light_weights(rung, light.coefficients(rung.order))
+        )
         dr.eval(values)
         return np.asarray(values, dtype=np.float64).T.reshape(self.maps.normal.shape)
 
-    def noise(self, rung: Rung, light: Light) -> float:
+    def noise(self, rung: ShadingModel, light: Light) -> float:
         """Mean squared noise of a rung's image under a light, from its two captures."""
         if rung.kind == "analytic":
             return 0.0
@@ -129,7 +136,7 @@ class Known:
         return float(difference.sum() / (3 * self.mask.sum()))
 
 
-def know(subject: Subject, seed: int, rungs: tuple[Rung, ...]) -> Known:
+def capture_inputs(subject: Subject, seed: int, rungs: tuple[ShadingModel, ...]) -> ModelInputs:
     """Capture all that rungs need; compiles with few rays first, so that the times are warm ones."""
     sampling = subject.spec.sampling
     plain = SurfaceScene(subject.mesh, subject.camera)
@@ -143,15 +150,15 @@ def know(subject: Subject, seed: int, rungs: tuple[Rung, ...]) -> Known:
         (first, one), (second, two) = (_timed(scene, half, 2 * seed + k, options) for k in (1, 2))
         transport[kind], seconds[kind] = (first, second), one + two
     whole = maps.mask if subject.spec.shape in FACE_SHAPES else maps.coverage >= 1.0
-    return Known(maps, np.asarray(whole, dtype=np.float64), transport, seconds)
+    return ModelInputs(maps, np.asarray(whole, dtype=np.float64), transport, seconds)
 
 
-def kernel_of(rung: Rung) -> Callable[..., mi.Color3f]:
+def shading_kernel(rung: ShadingModel) -> Callable[..., mi.Color3f]:
     """The function that makes a rung's image of its inputs and weights; not evaluated."""
     return _shade if rung.kind == "analytic" else weigh_responses
 
 
-def weights(rung: Rung, radiance: Radiance) -> tuple[Any, ...]:
+def light_weights(rung: ShadingModel, radiance: Radiance) -> tuple[Any, ...]:
     """Coefficients of the rung's order as the kernel takes them: they change without a new compilation."""
     if rung.kind == "analytic":
         return ([dr.opaque(mi.Float, float(x)) for x in radiance.to_shading().flat()],)
@@ -173,7 +180,7 @@ def _answers(captures: tuple[TransportMaps, TransportMaps]) -> tuple[Any, ...]:
 
 
 def _planes(image: npt.NDArray[np.float32]) -> list[mi.Float]:
-    return [upload(mi.Float, image[..., c]) for c in range(image.shape[-1])]
+    return [upload_array(mi.Float, image[..., c]) for c in range(image.shape[-1])]
 
 
 def _timed(

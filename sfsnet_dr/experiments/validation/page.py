@@ -14,15 +14,21 @@ import numpy.typing as npt
 from sfsnet_dr.core.visualize import on_white, png_bytes, show_linear
 from sfsnet_dr.experiments.validation.error_sources import CAUSES
 from sfsnet_dr.experiments.validation.measure import LightResult
-from sfsnet_dr.experiments.validation.renderers import SAMPLES, Rival, spectral_size
-from sfsnet_dr.experiments.validation.summary import Study, duration, paths, pooled, sentence
+from sfsnet_dr.experiments.validation.renderers import SAMPLES, RendererResult, spectral_size
+from sfsnet_dr.experiments.validation.summary import (
+    Study,
+    format_duration,
+    path_candidates,
+    pooled_error,
+    summary_sentence,
+)
 from sfsnet_dr.metrics.image import INSTALL
 from sfsnet_dr.render.renderers.base import Capabilities
 from sfsnet_dr.report.html import Block, Figure, Gallery, KeyNumbers, Section, Table, write_page
 from sfsnet_dr.report.pareto import TimedError, pareto_plot
 from sfsnet_dr.report.plots import error_map, signed_colours
 from sfsnet_dr.report.record import Record
-from sfsnet_dr.scene.lights.presets import describe
+from sfsnet_dr.scene.lights.presets import describe_light
 
 _PATH_ROWS = "path_"
 
@@ -32,16 +38,20 @@ def models_table(study: Study) -> Table:
     results = study.ladder.results
     rows = []
     for row in results[0].rows:
-        cells = [percent(result.row(row.key).errors.rel.value) for result in results]
+        cells = [format_percent(result.row(row.key).errors.rel.value) for result in results]
         timed = row.key in study.times
-        natural = [_interval(pooled(study, row.key, study.natural)) if timed else ""] if study.natural else []
-        time = duration(study.times[row.key].warm.total) if timed else "\u2013"
+        natural = (
+            [_interval(pooled_error(study, row.key, study.natural)) if timed else ""] if study.natural else []
+        )
+        time = format_duration(study.times[row.key].warm.total) if timed else "\u2013"
         rows.append([_unbroken(row.name), time, _crossover(study, row.key), *natural, *cells])
     for k, path in enumerate(results[0].paths):
-        cells = [percent(result.paths[k].noise) for result in results]
+        cells = [format_percent(result.paths[k].noise) for result in results]
         seconds = float(np.median([result.paths[k].seconds for result in results]))
         natural = [""] if study.natural else []
-        rows.append([_unbroken(f"{path.samples} paths (noise)"), duration(seconds), "", *natural, *cells])
+        rows.append(
+            [_unbroken(f"{path.samples} paths (noise)"), format_duration(seconds), "", *natural, *cells]
+        )
     mean = ["natural (interval)"] if study.natural else []
     return Table(
         ["model", "time", "N*", *mean, *(result.light.name for result in results)],
@@ -59,14 +69,14 @@ def causes_table(study: Study, key: str) -> Table:
     rows = []
     for result in study.ladder.results:
         parts = result.row(key).parts
-        cells = [f"{percent(parts[cause].size)} ({100 * parts[cause].share:.0f})" for cause in CAUSES]
+        cells = [f"{format_percent(parts[cause].size)} ({100 * parts[cause].share:.0f})" for cause in CAUSES]
         spectral = spectral_size(study.rivals, result.light.name)
         rows.append(
             [
                 result.light.name,
-                percent(result.row(key).errors.rel.value),
+                format_percent(result.row(key).errors.rel.value),
                 *cells,
-                "" if spectral is None else percent(spectral),
+                "" if spectral is None else format_percent(spectral),
             ]
         )
     return Table(
@@ -94,7 +104,7 @@ def errors_table(study: Study) -> Table:
                 row.name,
                 f"{np.mean([e.mae_8bit for e in errors]):.2f}",
                 f"{np.mean([e.delta_e for e in errors]):.2f}",
-                percent(max(e.worst for e in errors)),
+                format_percent(max(e.worst for e in errors)),
                 flip,
             ]
         )
@@ -121,9 +131,9 @@ def times_table(study: Study) -> Table:
         rows.append(
             [
                 rung.name,
-                duration(cold.total) if cold else "\u2013",
-                *(duration(seconds) for seconds in parts),
-                duration(study.capture_seconds(rung)),
+                format_duration(cold.total) if cold else "\u2013",
+                *(format_duration(seconds) for seconds in parts),
+                format_duration(study.capture_seconds(rung)),
                 f"{times.ns_per_pixel:.2f}",
                 f"{100 * times.copy_share:.0f} %",
             ]
@@ -133,8 +143,8 @@ def times_table(study: Study) -> Table:
         captures = [times.total for key, times in study.cold.items() if key.startswith("capture_")]
         compiled = (
             " In the same new process the path tracer's first image takes "
-            f"{duration(study.cold['path'].total)} at 4 paths a pixel, first captures "
-            f"{duration(min(captures))} to {duration(max(captures))}."
+            f"{format_duration(study.cold['path'].total)} at 4 paths a pixel, first captures "
+            f"{format_duration(min(captures))} to {format_duration(max(captures))}."
         )
     return Table(
         ["model", "cold", "warm", "frozen", "tracing", "code", "execution", "capture", "ns a pixel", "copy"],
@@ -155,7 +165,9 @@ def renderers_table(study: Study) -> Table:
         mine = {rival.light: rival for rival in study.rivals if rival.renderer == name}
         one = next(iter(mine.values()))
         cells = [_rival_cell(mine[light]) for light in lights]
-        noise = percent(max(r.noise for r in mine.values())) if any(r.noise for r in mine.values()) else ""
+        noise = (
+            format_percent(max(r.noise for r in mine.values())) if any(r.noise for r in mine.values()) else ""
+        )
         done = [rival.seconds for rival in mine.values() if rival.errors]
         rows.append(
             [
@@ -163,7 +175,7 @@ def renderers_table(study: Study) -> Table:
                 _accounts(one.capabilities),
                 *cells,
                 noise,
-                duration(max(done)) if done else "\u2013",
+                format_duration(max(done)) if done else "\u2013",
                 one.failure,
             ]
         )
@@ -177,7 +189,7 @@ def renderers_table(study: Study) -> Table:
     )
 
 
-def percent(error: float) -> str:
+def format_percent(error: float) -> str:
     """A ratio in % with two digits."""
     value = float(f"{100 * error:.2g}")
     digits = 0 if value == 0 else min(max(0, 1 - math.floor(math.log10(abs(value)))), 2)
@@ -191,7 +203,7 @@ def _unbroken(text: str) -> str:
 
 def _interval(error: TimedError) -> str:
     low, high = error.interval or (error.error, error.error)
-    return _unbroken(f"{percent(error.error)} ({100 * low:.1f} to {100 * high:.1f})")
+    return _unbroken(f"{format_percent(error.error)} ({100 * low:.1f} to {100 * high:.1f})")
 
 
 def _crossover(study: Study, key: str) -> str:
@@ -201,8 +213,8 @@ def _crossover(study: Study, key: str) -> str:
     return "< 1" if middle < 1 else f"{middle:.0f}" if middle < 1000 else f"{float(f'{middle:.2g}'):.0f}"
 
 
-def _rival_cell(rival: Rival) -> str:
-    return "\u2013" if rival.errors is None else percent(rival.errors.rel.value)
+def _rival_cell(rival: RendererResult) -> str:
+    return "\u2013" if rival.errors is None else format_percent(rival.errors.rel.value)
 
 
 def _accounts(can: Capabilities | None) -> str:
@@ -237,24 +249,29 @@ def write_study_page(path: Path, study: Study, tolerance: float, record: Record)
     write_page(
         path,
         f"How wrong is cheap shading? Scene: {scene}",
-        sentence(study, tolerance),
+        summary_sentence(study, tolerance),
         sections,
         footer=footer,
     )
 
 
-def section(study: Study, tolerance: float) -> Section:
+def scene_section(study: Study, tolerance: float) -> Section:
     """The same in short, as one section of another page."""
-    blocks = [sentence(study, tolerance), *_pareto_blocks(study), models_table(study), *_pictures(study)]
+    blocks = [
+        summary_sentence(study, tolerance),
+        *_pareto_blocks(study),
+        models_table(study),
+        *_pictures(study),
+    ]
     return Section(f"The scene {study.ladder.name.replace('_', ' ')}", blocks)
 
 
-def pareto(study: Study) -> bytes:
+def draw_pareto(study: Study) -> bytes:
     """The plot of error against time: soft and hard light apart."""
     panels = {
         f"{title} ({len(results)} light{'s' * (len(results) > 1)})": [
-            *(pooled(study, rung.key, results) for rung in study.rungs),
-            *paths(results),
+            *(pooled_error(study, rung.key, results) for rung in study.rungs),
+            *path_candidates(results),
         ]
         for title, results in _by_hardness(study).items()
         if results
@@ -281,7 +298,7 @@ def _lights(study: Study) -> Gallery:
     pictures = [
         (
             png_bytes(on_white(show_linear(result.truth.mean), mask)),
-            f"{result.light.name}: {describe(result.light)}",
+            f"{result.light.name}: {describe_light(result.light)}",
         )
         for result in study.ladder.results
     ]
@@ -296,14 +313,17 @@ def _key_numbers(study: Study) -> KeyNumbers:
     worst = max(errors, key=lambda name: errors[name].rel.value)
     numbers = []
     if study.natural:
-        mean = pooled(study, _PAPER, study.natural)
-        numbers.append((percent(mean.error), "relative RMS error of order 2, mean over natural light"))
+        mean = pooled_error(study, _PAPER, study.natural)
+        numbers.append((format_percent(mean.error), "relative RMS error of order 2, mean over natural light"))
     numbers += [
-        (percent(errors[worst].rel.value), f"the same under the hardest light here, {worst}"),
-        (percent(max(e.worst for e in errors.values())), "in the worst 8 x 8 pixels of any of the images"),
-        (duration(study.times[_PAPER].warm.total), "time of an order-2 image"),
+        (format_percent(errors[worst].rel.value), f"the same under the hardest light here, {worst}"),
         (
-            duration(float(np.median([r.paths[-1].seconds for r in results]))),
+            format_percent(max(e.worst for e in errors.values())),
+            "in the worst 8 x 8 pixels of any of the images",
+        ),
+        (format_duration(study.times[_PAPER].warm.total), "time of an order-2 image"),
+        (
+            format_duration(float(np.median([r.paths[-1].seconds for r in results]))),
             f"of a path-traced one, {results[0].paths[-1].samples} paths a pixel",
         ),
     ]
@@ -336,12 +356,12 @@ def _pareto_blocks(study: Study) -> list[Block]:
         "visibility, bounce or gloss need a capture once a subject, which is not in their time: "
         f"{_captures(study)}."
     )
-    return [Figure(pareto(study), caption, "Scatter plot of error against time with its Pareto front")]
+    return [Figure(draw_pareto(study), caption, "Scatter plot of error against time with its Pareto front")]
 
 
 def _captures(study: Study) -> str:
     seconds = {rung.kind: study.capture_seconds(rung) for rung in study.rungs if rung.kind != "analytic"}
-    return ", ".join(f"{duration(value)} for {kind}" for kind, value in seconds.items())
+    return ", ".join(f"{format_duration(value)} for {kind}" for kind, value in seconds.items())
 
 
 def _pictures(study: Study) -> list[Block]:

@@ -11,10 +11,10 @@ from typing import Final
 
 from sfsnet_dr.experiments.validation.error_sources import CAUSES
 from sfsnet_dr.experiments.validation.measure import Errors, LightResult, Row
-from sfsnet_dr.experiments.validation.models import Rung
-from sfsnet_dr.experiments.validation.renderers import Rival, spectral_size
-from sfsnet_dr.experiments.validation.summary import Study, cheapest, pooled
-from sfsnet_dr.report.record import Record, dotted, measured
+from sfsnet_dr.experiments.validation.models import ShadingModel
+from sfsnet_dr.experiments.validation.renderers import RendererResult, spectral_size
+from sfsnet_dr.experiments.validation.summary import Study, cheapest_model, pooled_error
+from sfsnet_dr.report.record import Record, dotted_word, make_record
 
 _Add = Callable[..., Record]
 
@@ -68,8 +68,8 @@ def to_csv(study: Study) -> str:
 
 
 def _records(study: Study, tolerance: float, add: _Add) -> Iterator[Record]:
-    scene = dotted(study.ladder.name)
-    best = cheapest(study, tolerance)
+    scene = dotted_word(study.ladder.name)
+    best = cheapest_model(study, tolerance)
     if best is not None:
         yield add(f"validate.cheapest.{scene}.rel_rmse", best.error, "1")
         yield add(f"validate.cheapest.{scene}.seconds", best.seconds, "s")
@@ -91,12 +91,12 @@ def _records(study: Study, tolerance: float, add: _Add) -> Iterator[Record]:
 
 def dotted_renderer(name: str) -> str:
     """A renderer's name as one word of a record's; ours are such words already."""
-    return "-".join(dotted(part) for part in name.split("-"))
+    return "-".join(dotted_word(part) for part in name.split("-"))
 
 
-def _of_rung(study: Study, rung: Rung, name: str, add: _Add) -> Iterator[Record]:
+def _of_rung(study: Study, rung: ShadingModel, name: str, add: _Add) -> Iterator[Record]:
     if study.natural:
-        error = pooled(study, rung.key, study.natural)
+        error = pooled_error(study, rung.key, study.natural)
         yield add(f"{name}.rel_rmse", error.error, "1", error.interval)
     times = study.times[rung.key]
     yield add(f"{name}.seconds", times.warm.total, "s")
@@ -128,7 +128,7 @@ def _of_row(result: LightResult, row: Row, name: str, add: _Add) -> Iterator[Rec
         yield add(f"{name}.share.{cause}", row.parts[cause].share, "1")
 
 
-def _of_rival(rival: Rival, name: str, add: _Add) -> Iterator[Record]:
+def _of_rival(rival: RendererResult, name: str, add: _Add) -> Iterator[Record]:
     if rival.errors is None:
         return
     rel = rival.errors.rel
@@ -139,7 +139,7 @@ def _of_rival(rival: Rival, name: str, add: _Add) -> Iterator[Record]:
 
 def _maker(command: str, seed: int) -> _Add:
     """Makes records; versions and machine are looked up once, not for each of hundreds."""
-    pattern = measured("validate.pattern", 0.0, "1", command=command, seed=seed)
+    pattern = make_record("validate.pattern", 0.0, "1", command=command, seed=seed)
 
     def add(what: str, value: float, unit: str, interval: tuple[float, float] | None = None) -> Record:
         ends = None if interval is None else (min(interval[0], value), max(interval[1], value))

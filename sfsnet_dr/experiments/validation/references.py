@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from sfsnet_dr.render.aovs import TransportOptions, render_aovs
 from sfsnet_dr.render.path_tracer import Reference, path_trace
-from sfsnet_dr.scene.lights.equirect import MAP_SIZE, lookup
+from sfsnet_dr.scene.lights.equirect import MAP_SIZE, sample_map
 from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
 from sfsnet_dr.scene.scene_cache import SceneCache
@@ -29,7 +29,7 @@ Image = npt.NDArray[np.float64]
 _DIRECT, _BOUNCE, _ALL = 2, 3, -1  # Mitsuba's path depths
 
 
-class Pair(NamedTuple):
+class IndependentPair(NamedTuple):
     """Two images of one thing with independent noise; the same image twice where there is none."""
 
     first: Image
@@ -42,7 +42,7 @@ class Pair(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Levels:
+class LightPathImages:
     """Path-traced images of one subject under one light.
 
     Attributes:
@@ -55,16 +55,18 @@ class Levels:
         samples: paths per pixel of each image.
     """
 
-    direct: Pair
-    bounce: Pair
-    diffuse: Pair
-    glossy_bounce: Pair | None
-    truth: Pair
+    direct: IndependentPair
+    bounce: IndependentPair
+    diffuse: IndependentPair
+    glossy_bounce: IndependentPair | None
+    truth: IndependentPair
     variance: Image
     samples: int
 
 
-def trace_levels(scenes: SceneCache, subject: Subject, light: Light, samples: int, seed: int) -> Levels:
+def trace_light_paths(
+    scenes: SceneCache, subject: Subject, light: Light, samples: int, seed: int
+) -> LightPathImages:
     """Trace all levels.
 
     Args:
@@ -83,17 +85,17 @@ def trace_levels(scenes: SceneCache, subject: Subject, light: Light, samples: in
             scenes.show(subject.mesh, subject.camera, light, gloss=True), samples, seed, (_BOUNCE, _ALL)
         )
     variance = (noisy[0].variance + noisy[1].variance) * (samples / 2)
-    return Levels(direct, bounce, every, glossy_bounce, truth, variance, samples)
+    return LightPathImages(direct, bounce, every, glossy_bounce, truth, variance, samples)
 
 
 def _pairs(
     scene: SurfaceScene, samples: int, seed: int, depths: tuple[int, ...]
-) -> tuple[list[Pair], tuple[Reference, Reference]]:
+) -> tuple[list[IndependentPair], tuple[Reference, Reference]]:
     """A pair for each depth, and both images of the last one with their variances."""
     pairs = []
     for depth in depths:
         first, second = (path_trace(scene, samples, 2 * seed + k, depth) for k in (0, 1))
-        pairs.append(Pair(first.mean, second.mean))
+        pairs.append(IndependentPair(first.mean, second.mean))
     return pairs, (first, second)
 
 
@@ -151,7 +153,7 @@ class FineMaps:
         """
         total = np.zeros_like(self.normal)
         if light.environment is not None:
-            total += lookup(irradiance_map(light.environment), self.normal) / np.pi
+            total += sample_map(irradiance_map(light.environment), self.normal) / np.pi
         for toward, power in light.directional:
             total += np.maximum(self.normal @ toward, 0.0)[..., None] * power / np.pi
         return self.shade(total)

@@ -8,12 +8,12 @@ from typing import Final
 
 import numpy as np
 
-from sfsnet_dr.experiments.validation.measure import Errors, Ladder, LightResult, errors_of
-from sfsnet_dr.experiments.validation.references import Pair
+from sfsnet_dr.experiments.validation.measure import Errors, LightResult, SceneResults, measure_errors
+from sfsnet_dr.experiments.validation.references import IndependentPair
 from sfsnet_dr.metrics.noise_free import RelativeRmse, relative_rmse
 from sfsnet_dr.render.renderers.base import Budget, Capabilities
 from sfsnet_dr.render.renderers.registry import find_renderer, renderers
-from sfsnet_dr.render.renderers.sandbox import Outcome, run_guarded
+from sfsnet_dr.render.renderers.sandbox import Outcome, run_sandboxed
 
 #: Paths per pixel of renderers that draw random ones. Their noise is left out of the errors.
 SAMPLES: Final = 32
@@ -25,7 +25,7 @@ _SEEDS = (7001, 7002)  # far from those of the references
 
 
 @dataclass(frozen=True)
-class Rival:
+class RendererResult:
     """One renderer under one light.
 
     Attributes:
@@ -64,12 +64,12 @@ def chosen_renderers(names: str) -> tuple[str, ...]:
     return asked
 
 
-def compare_rivals(
-    ladder: Ladder,
+def compare_renderers(
+    ladder: SceneResults,
     names: Sequence[str],
     results: Sequence[LightResult],
     on_image: Callable[[str], None] = lambda name: None,
-) -> tuple[Rival, ...]:
+) -> tuple[RendererResult, ...]:
     """Render with every renderer under the lights of results.
 
     Args:
@@ -91,24 +91,26 @@ def compare_rivals(
     return tuple(found)
 
 
-def _measure(ladder: Ladder, name: str, result: LightResult) -> Rival:
-    first = run_guarded(name, ladder.subject, result.light, Budget(SAMPLES, _SEEDS[0]))
+def _measure(ladder: SceneResults, name: str, result: LightResult) -> RendererResult:
+    first = run_sandboxed(name, ladder.subject, result.light, Budget(SAMPLES, _SEEDS[0]))
     noisy = first.capabilities is not None and first.capabilities.noisy
     second = first
     if noisy and first.image is not None:
-        second = run_guarded(name, ladder.subject, result.light, Budget(SAMPLES, _SEEDS[1]))
+        second = run_sandboxed(name, ladder.subject, result.light, Budget(SAMPLES, _SEEDS[1]))
     failed = next((outcome for outcome in (first, second) if outcome.image is None), None)
     if failed is not None:
         return _failed(failed, result.light.name)
-    pair = Pair(np.asarray(first.image, dtype=np.float64), np.asarray(second.image, dtype=np.float64))
+    pair = IndependentPair(
+        np.asarray(first.image, dtype=np.float64), np.asarray(second.image, dtype=np.float64)
+    )
     mask, truth = ladder.known.mask, result.truth
     power = float(((truth.first * truth.second) * mask[..., None]).sum())
     noise = float((((pair.first - pair.second) ** 2) * mask[..., None]).sum() / 2)
-    return Rival(
+    return RendererResult(
         renderer=name,
         light=result.light.name,
         capabilities=first.capabilities,
-        errors=errors_of(pair, truth, mask),
+        errors=measure_errors(pair, truth, mask),
         plain=relative_rmse(pair.first, *result.plain, mask, again=pair.second),
         noise=float(np.sqrt(noise / power)),
         seconds=min(first.seconds, second.seconds),
@@ -116,8 +118,8 @@ def _measure(ladder: Ladder, name: str, result: LightResult) -> Rival:
     )
 
 
-def _failed(outcome: Outcome, light: str) -> Rival:
-    return Rival(
+def _failed(outcome: Outcome, light: str) -> RendererResult:
+    return RendererResult(
         outcome.renderer, light, outcome.capabilities, None, None, 0.0, outcome.seconds, _why(outcome)
     )
 
@@ -129,7 +131,7 @@ def _why(outcome: Outcome) -> str:
     return failure.detail if failure.kind == "not installed" else str(failure)
 
 
-def spectral_size(rivals: Sequence[Rival], light: str) -> float | None:
+def spectral_size(rivals: Sequence[RendererResult], light: str) -> float | None:
     """Relative RMS change by spectra in place of RGB under a light; None where it was not measured."""
     found = (r.plain.value for r in rivals if r.renderer == SPECTRAL and r.light == light and r.plain)
     return next(found, None)

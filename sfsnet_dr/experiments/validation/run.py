@@ -8,12 +8,12 @@ from pathlib import Path
 
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.core.files import atomic_path, output_dir, write_text
-from sfsnet_dr.experiments.validation.measure import Ladder, LightResult, climb
+from sfsnet_dr.experiments.validation.measure import LightResult, SceneResults, measure_models
 from sfsnet_dr.experiments.validation.records import main_records, study_records, to_csv
-from sfsnet_dr.experiments.validation.renderers import Rival, chosen_renderers, compare_rivals
-from sfsnet_dr.experiments.validation.summary import Study, sentence
-from sfsnet_dr.experiments.validation.timing import cold_times, time_rung
-from sfsnet_dr.report.console import bar
+from sfsnet_dr.experiments.validation.renderers import RendererResult, chosen_renderers, compare_renderers
+from sfsnet_dr.experiments.validation.summary import Study, summary_sentence
+from sfsnet_dr.experiments.validation.timing import measure_cold_start, time_model
+from sfsnet_dr.report.console import progress_bar
 from sfsnet_dr.report.record import Record, write_records
 from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.lights.presets import light_set
@@ -60,21 +60,21 @@ def validate(request: Request, out: Path | str) -> tuple[list[Record], str]:
         InputError: for an unknown scene, light or renderer, a light of all zeros, a scene with no surface in
             view, or a tolerance or number that makes no sense.
     """
-    from sfsnet_dr.experiments.validation.page import error_maps, pareto, write_study_page
+    from sfsnet_dr.experiments.validation.page import draw_pareto, error_maps, write_study_page
 
     subject, lights = _subject(request), light_set(request.lights, request.environments)
     names, folder = chosen_renderers(request.renderers), output_dir(out)
-    study = measure(subject, lights, names, samples=request.samples, seed=request.seed)
+    study = measure_scene(subject, lights, names, samples=request.samples, seed=request.seed)
     found = study_records(study, request.tolerance, request.command, request.seed)
     write_records(folder / "records.json", found)
     write_text(folder / "errors.csv", to_csv(study))
     maps = output_dir(folder / "maps")
     pictures = {maps / f"{name}.png": picture for name, picture in error_maps(study).items()}
-    for path, picture in ({folder / "pareto.png": pareto(study)} | pictures).items():
+    for path, picture in ({folder / "pareto.png": draw_pareto(study)} | pictures).items():
         with atomic_path(path) as unfinished:
             unfinished.write_bytes(picture)
     write_study_page(folder / "index.html", study, request.tolerance, found[0])
-    return found, sentence(study, request.tolerance)
+    return found, summary_sentence(study, request.tolerance)
 
 
 def validate_all(request: Request, out: Path | str, skipped: Callable[[str], None]) -> list[Record]:
@@ -101,7 +101,7 @@ def validate_all(request: Request, out: Path | str, skipped: Callable[[str], Non
     return found
 
 
-def measure(
+def measure_scene(
     subject: Subject,
     lights: Sequence[Light],
     renderers: Sequence[str] = (),
@@ -121,15 +121,15 @@ def measure(
         cold: whether first calls are timed, in a process of their own.
     """
     name = subject.spec.name
-    with bar(f"{name}: lights", len(lights)) as advance:
-        ladder = climb(subject, lights, samples=samples, seed=seed, on_light=lambda _: advance())
+    with progress_bar(f"{name}: lights", len(lights)) as advance:
+        ladder = measure_models(subject, lights, samples=samples, seed=seed, on_light=lambda _: advance())
     gloss = subject.spec.has_gloss
-    first = cold_times(subject.camera.size, gloss) if cold else {}
+    first = measure_cold_start(subject.camera.size, gloss) if cold else {}
     study = Study(ladder, {}, first)
-    with bar(f"{name}: times", len(study.rungs)) as advance:
+    with progress_bar(f"{name}: times", len(study.rungs)) as advance:
         times = {}
         for rung in study.rungs:
-            times[rung.key] = time_rung(ladder.known, rung, lights[0])
+            times[rung.key] = time_model(ladder.known, rung, lights[0])
             advance()
     return replace(study, times=times, rivals=_rivals(ladder, renderers))
 
@@ -147,13 +147,13 @@ def _subject(request: Request) -> Subject:
     return build_subject(spec, request.seed)
 
 
-def _rivals(ladder: Ladder, names: Sequence[str]) -> tuple[Rival, ...]:
-    lights = rival_lights(ladder.results)
-    with bar(f"{ladder.name}: renderers", max(len(names) * len(lights), 1)) as advance:
-        return compare_rivals(ladder, names, lights, lambda _: advance())
+def _rivals(ladder: SceneResults, names: Sequence[str]) -> tuple[RendererResult, ...]:
+    lights = lights_for_renderers(ladder.results)
+    with progress_bar(f"{ladder.name}: renderers", max(len(names) * len(lights), 1)) as advance:
+        return compare_renderers(ladder, names, lights, lambda _: advance())
 
 
-def rival_lights(results: Sequence[LightResult]) -> list[LightResult]:
+def lights_for_renderers(results: Sequence[LightResult]) -> list[LightResult]:
     """One soft light, a natural one if there is, and the last of the single hard lamps."""
     soft = sorted((r for r in results if not r.hard), key=lambda r: not r.light.name.startswith("natural"))
     hard = [r for r in results if r.hard and r.light.environment is None]

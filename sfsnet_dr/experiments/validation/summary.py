@@ -8,10 +8,10 @@ from typing import Final
 
 import numpy as np
 
-from sfsnet_dr.experiments.validation.measure import NATURAL, Ladder, LightResult
-from sfsnet_dr.experiments.validation.models import Rung, ladder_rungs
-from sfsnet_dr.experiments.validation.renderers import Rival
-from sfsnet_dr.experiments.validation.timing import KernelTime, RungTime
+from sfsnet_dr.experiments.validation.measure import NATURAL, LightResult, SceneResults
+from sfsnet_dr.experiments.validation.models import ShadingModel, shading_models
+from sfsnet_dr.experiments.validation.renderers import RendererResult
+from sfsnet_dr.experiments.validation.timing import KernelTime, ModelTime
 from sfsnet_dr.report.pareto import TimedError
 
 #: Group of the complete path tracer's points; its error is noise.
@@ -36,15 +36,15 @@ class Study:
         rivals: every registered renderer; empty where none was asked for.
     """
 
-    ladder: Ladder
-    times: Mapping[str, RungTime]
+    ladder: SceneResults
+    times: Mapping[str, ModelTime]
     cold: Mapping[str, KernelTime] = field(default_factory=dict)
-    rivals: tuple[Rival, ...] = ()
+    rivals: tuple[RendererResult, ...] = ()
 
     @property
-    def rungs(self) -> tuple[Rung, ...]:
+    def rungs(self) -> tuple[ShadingModel, ...]:
         """The shading models."""
-        return ladder_rungs(self.ladder.subject.spec.has_gloss)
+        return shading_models(self.ladder.subject.spec.has_gloss)
 
     @property
     def natural(self) -> tuple[LightResult, ...]:
@@ -52,7 +52,7 @@ class Study:
         found = tuple(result for result in self.ladder.results if result.light.name in NATURAL)
         return found if len(found) == len(NATURAL) else ()
 
-    def capture_seconds(self, rung: Rung) -> float:
+    def capture_seconds(self, rung: ShadingModel) -> float:
         """What a rung costs once a subject."""
         return self.ladder.known.seconds[rung.kind]
 
@@ -78,7 +78,7 @@ class Candidate:
     path: bool
 
 
-def pooled(study: Study, key: str, results: Iterable[LightResult]) -> TimedError:
+def pooled_error(study: Study, key: str, results: Iterable[LightResult]) -> TimedError:
     """A rung over several lights: RMS of its relative errors, with the RMS of the intervals' ends."""
     rung = next(rung for rung in study.rungs if rung.key == key)
     errors = [result.row(key).errors.rel for result in results]
@@ -86,7 +86,7 @@ def pooled(study: Study, key: str, results: Iterable[LightResult]) -> TimedError
     return TimedError(rung.name, _GROUPS[rung.kind], study.times[key].warm.total, value, (low, high))
 
 
-def paths(results: Iterable[LightResult]) -> list[TimedError]:
+def path_candidates(results: Iterable[LightResult]) -> list[TimedError]:
     """The path tracer over several lights: median time and RMS noise at each number of paths."""
     columns = zip(*(result.paths for result in results), strict=True)
     return [
@@ -100,7 +100,7 @@ def paths(results: Iterable[LightResult]) -> list[TimedError]:
     ]
 
 
-def candidates(study: Study) -> list[Candidate]:
+def all_candidates(study: Study) -> list[Candidate]:
     """All rungs and the path tracer, the quickest image first."""
     results = study.ladder.results
     found = []
@@ -117,18 +117,18 @@ def candidates(study: Study) -> list[Candidate]:
     return sorted(found, key=lambda candidate: candidate.seconds)
 
 
-def cheapest(study: Study, tolerance: float) -> Candidate | None:
+def cheapest_model(study: Study, tolerance: float) -> Candidate | None:
     """The quickest of the candidates that stay within a tolerance under every light; None if none does."""
-    return next((c for c in candidates(study) if c.error <= tolerance), None)
+    return next((c for c in all_candidates(study) if c.error <= tolerance), None)
 
 
-def sentence(study: Study, tolerance: float) -> str:
-    """What ``cheapest`` found, for a reader who knows nothing else."""
-    best, scene = cheapest(study, tolerance), study.ladder.name.replace("_", " ")
+def summary_sentence(study: Study, tolerance: float) -> str:
+    """What ``cheapest_model`` found, for a reader who knows nothing else."""
+    best, scene = cheapest_model(study, tolerance), study.ladder.name.replace("_", " ")
     allowed, count = f"{100 * tolerance:g} %", len(study.ladder.results)
     lights = "the one light" if count == 1 else f"all {count} lights"
     if best is None:
-        near = min(candidates(study), key=lambda candidate: candidate.error)
+        near = min(all_candidates(study), key=lambda candidate: candidate.error)
         return (
             f"No model stays within {allowed} on the scene {scene} under {lights}: the nearest is "
             f"{near.name}, with a relative RMS error of {_percent(near.error)} under {near.light}."
@@ -136,17 +136,17 @@ def sentence(study: Study, tolerance: float) -> str:
     if best.path:
         return (
             f"No shading model stays within {allowed} on the scene {scene} under {lights}; {best.name} does, "
-            f"in {duration(best.seconds)} an image, with at most {_percent(best.error)} of noise "
+            f"in {format_duration(best.seconds)} an image, with at most {_percent(best.error)} of noise "
             f"({best.light})."
         )
     return (
         f"The cheapest model within {allowed} on the scene {scene} under {lights} is {best.name}: a relative "
-        f"RMS error of at most {_percent(best.error)} ({best.light}) in {duration(best.seconds)} an image, "
-        f"after {duration(best.once)} of capture once a subject."
+        f"RMS error of at most {_percent(best.error)} ({best.light}) in {format_duration(best.seconds)} an "
+        f"image, after {format_duration(best.once)} of capture once a subject."
     )
 
 
-def duration(seconds: float) -> str:
+def format_duration(seconds: float) -> str:
     """A time with two digits and the unit that fits."""
     units = (("s", 1.0), ("ms", 1e-3), ("\u00b5s", 1e-6))
     unit, size = next((unit for unit in units if seconds >= 0.995 * unit[1]), units[-1])

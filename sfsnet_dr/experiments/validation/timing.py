@@ -31,7 +31,7 @@ import numpy as np
 import torch
 
 from sfsnet_dr.core.errors import RunError
-from sfsnet_dr.experiments.validation.models import Known, Rung, kernel_of, weights
+from sfsnet_dr.experiments.validation.models import ModelInputs, ShadingModel, light_weights, shading_kernel
 from sfsnet_dr.scene.jit import dr, mi
 from sfsnet_dr.scene.lights.light import Light
 
@@ -64,7 +64,7 @@ class KernelTime:
 
 
 @dataclass(frozen=True)
-class RungTime:
+class ModelTime:
     """Times of one image of a rung.
 
     Attributes:
@@ -80,23 +80,27 @@ class RungTime:
     copy_share: float
 
 
-def time_rung(known: Known, rung: Rung, light: Light) -> RungTime:
+def time_model(known: ModelInputs, rung: ShadingModel, light: Light) -> ModelTime:
     """Measure one rung. The light matters to no time; projecting it onto harmonics is not counted."""
-    function, inputs = kernel_of(rung), known.inputs(rung)
+    function, inputs = shading_kernel(rung), known.inputs(rung)
     batch = -(-WORKING_SET // (rung.bytes_per_pixel * known.mask.size))
     many = tuple(_tiled(planes, batch) for planes in inputs)
     radiance = light.coefficients(rung.order)
-    weighed = weights(rung, radiance)
+    weighed = light_weights(rung, radiance)
     # A light is new data for every image, so that putting it into Dr.Jit's memory counts too.
-    warm = _medians(lambda: time_kernels(lambda: function(*inputs, *weights(rung, radiance)), history=False))
+    warm = _medians(
+        lambda: time_kernels(lambda: function(*inputs, *light_weights(rung, radiance)), history=False)
+    )
     parts = _medians(lambda: time_kernels(lambda: function(*inputs, *weighed)))
     quick = dr.freeze(function)
-    frozen = _medians(lambda: time_kernels(lambda: quick(*inputs, *weights(rung, radiance)), history=False))
+    frozen = _medians(
+        lambda: time_kernels(lambda: quick(*inputs, *light_weights(rung, radiance)), history=False)
+    )
     bandwidth = copy_bandwidth()
     time_kernels(lambda: function(*many, *weighed))
     execution = min(time_kernels(lambda: function(*many, *weighed)).execution for _ in range(_BATCHES))
     pixels = batch * known.mask.size
-    return RungTime(
+    return ModelTime(
         warm=KernelTime(warm.total, parts.codegen, parts.backend, parts.execution),
         frozen=frozen.total,
         ns_per_pixel=1e9 * execution / pixels,
@@ -158,7 +162,7 @@ def _tiled(planes: Any, count: int) -> Any:
 _TIME_LIMIT = 300
 
 
-def cold_times(size: int, gloss: bool) -> dict[str, KernelTime]:
+def measure_cold_start(size: int, gloss: bool) -> dict[str, KernelTime]:
     """Times of first calls by rung's key; by ``path`` for the path tracer, ``capture_KIND`` for captures.
 
     Args:
@@ -184,18 +188,23 @@ def cold_times(size: int, gloss: bool) -> dict[str, KernelTime]:
 
 
 def _main(size: int, gloss: bool) -> dict[str, KernelTime]:
-    from sfsnet_dr.experiments.validation.models import kernel_of, know, ladder_rungs, weights
+    from sfsnet_dr.experiments.validation.models import (
+        capture_inputs,
+        light_weights,
+        shading_kernel,
+        shading_models,
+    )
     from sfsnet_dr.render.aovs import TransportOptions, render_aovs
     from sfsnet_dr.render.path_tracer import path_trace
     from sfsnet_dr.scene.jit import dr, mi
-    from sfsnet_dr.scene.lights.presets import natural
+    from sfsnet_dr.scene.lights.presets import natural_light
     from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
     from sfsnet_dr.scene.spec import CameraSpec, SamplingSpec, SceneSpec
     from sfsnet_dr.scene.subject import build_subject
 
     spec = SceneSpec("cold", "sphere", camera=CameraSpec(size=size), gloss=gloss)
     spec = replace(spec, sampling=SamplingSpec(transport=2, paths=1))
-    subject, light, rungs = build_subject(spec), natural(0), ladder_rungs(gloss)
+    subject, light, rungs = build_subject(spec), natural_light(0), shading_models(gloss)
     dr.eval(dr.arange(mi.Float, 4) + 1.0)  # LLVM itself has to start once
     found = {}
     plain = SurfaceScene(subject.mesh, subject.camera)
@@ -206,10 +215,10 @@ def _main(size: int, gloss: bool) -> dict[str, KernelTime]:
         scene = SurfaceScene(subject.mesh, subject.camera, gloss=True) if kind == "gloss" else plain
         options = TransportOptions(order=4, bounces=int(kind != "visibility"))
         found[f"capture_{kind}"] = _first(partial(render_aovs, scene, 2, 0, options))
-    known = know(subject, 0, rungs)
+    known = capture_inputs(subject, 0, rungs)
     for rung in rungs:
-        inputs, values = known.inputs(rung), weights(rung, light.coefficients(rung.order))
-        found[rung.key] = time_kernels(partial(kernel_of(rung), *inputs, *values))
+        inputs, values = known.inputs(rung), light_weights(rung, light.coefficients(rung.order))
+        found[rung.key] = time_kernels(partial(shading_kernel(rung), *inputs, *values))
     return found
 
 

@@ -18,14 +18,21 @@ import numpy.typing as npt
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.core.files import output_dir, write_text
 from sfsnet_dr.core.visualize import on_white, show_linear
-from sfsnet_dr.experiments.worst_light.responses import Effort, mean, p95
-from sfsnet_dr.experiments.worst_light.run import DIMMEST, LIGHTS, Shown, WorstLight, steps, study
-from sfsnet_dr.experiments.worst_light.search import Worst
-from sfsnet_dr.report.console import bar
+from sfsnet_dr.experiments.worst_light.responses import Effort, mean_error, percentile_95
+from sfsnet_dr.experiments.worst_light.run import (
+    DIMMEST,
+    LIGHTS,
+    Shown,
+    WorstLight,
+    study_steps,
+    study_worst_light,
+)
+from sfsnet_dr.experiments.worst_light.search import WorstLightResult
+from sfsnet_dr.report.console import progress_bar
 from sfsnet_dr.report.html import Block, Figure, KeyNumbers, Note, Section, Table, write_page
-from sfsnet_dr.report.light_plots import Panel, hemispheres, panels
-from sfsnet_dr.report.plots import histogram
-from sfsnet_dr.report.record import Record, measured, write_records
+from sfsnet_dr.report.light_plots import Panel, draw_hemispheres, draw_panels
+from sfsnet_dr.report.plots import draw_histogram
+from sfsnet_dr.report.record import Record, make_record, write_records
 from sfsnet_dr.scene.lights.sampling import LARGEST_ANGLE
 from sfsnet_dr.scene.subject import load_subject_by_name
 
@@ -43,13 +50,14 @@ def write_worst_light_page(path: Path, found: WorstLight, versions: Mapping[str,
 
 def _lead(found: WorstLight) -> str:
     own, angle = found.own, np.degrees(np.arccos(found.direction[2]))
+    mean, rare = _percent(mean_error(own.prior)), _percent(percentile_95(own.prior))
     return (
-        f"On the {_spoken(found.name)}, order-{found.order} spherical-harmonic shading is off by "
-        f"{_percent(mean(own.prior))} of the image under usual light ({_percent(p95(own.prior))} "
-        f"or more under one light in twenty), and by up to {_percent(found.directional.error.value)} "
-        f"under a single directional light, which then comes from {angle:.0f} degrees off the viewer's "
-        "direction. All errors are root mean square over the pixels that count, against path tracing "
-        "with shadows and interreflection, with the noise of the path tracing taken out."
+        f"On the {_spoken(found.name)}, order-{found.order} spherical-harmonic shading is off by {mean} of the "
+        f"image under usual light ({rare} or more under one light in twenty), and by up to "
+        f"{_percent(found.directional.error.value)} under a single directional light, which then comes from "
+        f"{angle:.0f} degrees off the viewer's direction. All errors are root mean square over the pixels that "
+        "count, against path tracing with shadows and interreflection, with the noise of the path tracing "
+        "taken out."
     )
 
 
@@ -61,8 +69,8 @@ def _summary(found: WorstLight) -> Section:
     own = found.own
     numbers = KeyNumbers(
         [
-            (_percent(mean(own.prior)), "mean over usual lights"),
-            (_percent(p95(own.prior)), "95th percentile over usual lights"),
+            (_percent(mean_error(own.prior)), "mean over usual lights"),
+            (_percent(percentile_95(own.prior)), "95th percentile over usual lights"),
             (_percent(found.directional.error.value), "worst directional light, up to 85° from the viewer"),
             (_percent(found.non_negative.error.value), "worst order-4 light without negative parts"),
             (_percent(found.signed.error.value), "worst order-4 light, negative parts allowed"),
@@ -71,8 +79,8 @@ def _summary(found: WorstLight) -> Section:
     rows = [
         [
             f"order {order}",
-            _plain(mean(result.prior)),
-            _plain(p95(result.prior)),
+            _plain(mean_error(result.prior)),
+            _plain(percentile_95(result.prior)),
             _plain(result.directional.pooled),
             _plain(float(np.nanmax(result.directional.of_own))),
             _plain(float(result.directional.of_mean.max())),
@@ -103,7 +111,7 @@ def _prior(found: WorstLight) -> Section:
         "Relative RMS error in %. The kinds are those that data sets are rendered with.",
     )
     edges = np.linspace(0.0, 100 * float(np.ceil(errors.max() * 20) / 20), 26)
-    plot = histogram(
+    plot = draw_histogram(
         [100 * value for value in errors],
         label=f"relative RMS error of order {found.order} (%)",
         bins=[float(edge) for edge in edges],
@@ -118,14 +126,16 @@ def _directions(found: WorstLight) -> Section:
     own, mean = 100 * result.of_own, 100 * result.of_mean
     maps = [
         Figure(
-            hemispheres(own, found.directions, label="error (%)", limit=_round(own), mark=found.direction),
+            draw_hemispheres(
+                own, found.directions, label="error (%)", limit=_round(own), mark=found.direction
+            ),
             "Error under one directional light, relative to the image under that light, by where the "
             "light comes from. The middle of the left disk is the viewer, its edge is light from exactly "
             "the side. White: more than 85 degrees from the viewer, where less and less of what is seen "
             "is lit, so that this ratio grows without limit. The circle marks the worst.",
         ),
         Figure(
-            hemispheres(mean, found.directions, label="error (%)", limit=_round(mean)),
+            draw_hemispheres(mean, found.directions, label="error (%)", limit=_round(mean)),
             "The same errors relative to the mean image (root mean square over all directions), which is "
             "defined for light from behind too.",
         ),
@@ -193,10 +203,10 @@ def _pictures(found: WorstLight, shown: Shown, caption: str) -> Figure:
             row.append(Panel(title, on_white(show_linear(image / top), found.mask.astype(np.float64))))
     limit = _round(np.abs(100 * error / power))
     row.append(Panel("difference", 100 * error / power, limit, "% of the image's RMS"))
-    return Figure(panels(row), caption)
+    return Figure(draw_panels(row), caption)
 
 
-def _coefficients(worst: Worst) -> Table:
+def _coefficients(worst: WorstLightResult) -> Table:
     bands = np.repeat(np.arange(5), 2 * np.arange(5) + 1)
     energy = [float((worst.light[bands == band] ** 2).sum()) for band in range(5)]
     rounded = np.round(worst.light, 3) + 0.0  # no minus before a zero
@@ -274,8 +284,8 @@ def worst_light(
     """
     _check(effort, lights)
     subject, folder = load_subject_by_name(scene, seed), output_dir(out)
-    with bar(f"worst light of {subject.spec.name}", steps(effort)) as step:
-        found = study(subject, effort, order=order, lights=lights, seed=seed, step=step)
+    with progress_bar(f"worst light of {subject.spec.name}", study_steps(effort)) as step:
+        found = study_worst_light(subject, effort, order=order, lights=lights, seed=seed, step=step)
     records = worst_light_records(found, command, seed)
     write_records(folder / "records.json", records)
     write_text(folder / "lights.json", json.dumps(found_lights(found), indent=2) + "\n")
@@ -290,7 +300,7 @@ def worst_light_records(found: WorstLight, command: str, seed: int) -> list[Reco
 
     def add(what: str, value: float, unit: str = "1", interval: tuple[float, float] | None = None) -> None:
         name = f"worst_light.{found.name}.{what}"
-        records.append(measured(name, value, unit, command=command, interval=interval, seed=seed))
+        records.append(make_record(name, value, unit, command=command, interval=interval, seed=seed))
 
     prefix = _prefix(found.order)
     shown = {
@@ -311,8 +321,12 @@ def worst_light_records(found: WorstLight, command: str, seed: int) -> list[Reco
             add(f"{prefix}directional", float(np.nanmax(result.directional.of_own)))
         add(f"{prefix}directional.over_mean", float(result.directional.of_mean.max()))
         add(f"{prefix}directional.pooled", result.directional.pooled)
-        add(f"{prefix}prior.mean", mean(result.prior), interval=found.prior_interval(order, mean))
-        add(f"{prefix}prior.p95", p95(result.prior), interval=found.prior_interval(order, p95))
+        add(f"{prefix}prior.mean", mean_error(result.prior), interval=found.prior_interval(order, mean_error))
+        add(
+            f"{prefix}prior.p95",
+            percentile_95(result.prior),
+            interval=found.prior_interval(order, percentile_95),
+        )
     return records
 
 

@@ -1,8 +1,8 @@
 """A scene's answers to many lights, each seen twice, and the analytic model's to the same lights.
 
 Everything about how wrong the model is under *any* mixture of these lights follows from inner products of
-the answers (``Forms``): no further image is rendered. Two captures with noise of their own, multiplied with
-each other and never with themselves, leave no noise in the mean.
+the responses (``PreparedResponses``): no further image is rendered. Two captures with noise of their own,
+multiplied with each other and never with themselves, leave no noise in the mean.
 
 Lights as a scene has them, as mixtures of directional lights whose answers are known.
 """
@@ -61,7 +61,7 @@ class Effort:
 
 
 @dataclass(frozen=True, eq=False)
-class Forms:
+class PreparedResponses:
     """Mean squares over pixels as quadratic forms in the weights w (N,) of N lights, for each colour.
 
     Attributes:
@@ -86,7 +86,7 @@ class Forms:
 
 
 @dataclass(frozen=True, eq=False)
-class Answers:
+class Responses:
     """Images under N lights, in the pixels of a mask.
 
     Attributes:
@@ -103,13 +103,13 @@ class Answers:
     coefficients: Array
     mask: npt.NDArray[np.bool_]
 
-    def forms(self) -> Forms:
+    def forms(self) -> PreparedResponses:
         """Inner products of all answers."""
         pixels = self.first.shape[-1]
         product = np.matmul(self.first, self.second.transpose(0, 2, 1)).astype(np.float64)
         mean = (self.first + self.second) / 2
         model = np.asarray(self.model, dtype=mean.dtype)
-        return Forms(
+        return PreparedResponses(
             truth=(product + product.transpose(0, 2, 1)) / 2 / pixels,
             cross=np.matmul(model, mean.transpose(0, 2, 1)).astype(np.float64) / pixels,
             model=np.matmul(model, model.transpose(0, 2, 1)).astype(np.float64) / pixels,
@@ -151,33 +151,33 @@ class Target:
     effort: Effort
 
 
-def target(subject: Subject, effort: Effort) -> Target:
+def select_target(subject: Subject, effort: Effort) -> Target:
     """Make a subject ready for tracing."""
     camera = replace(subject.camera, size=effort.size or subject.camera.size)
     scene = SurfaceScene(subject.mesh, camera, gloss=subject.spec.has_gloss)
     return Target(replace(subject, camera=camera), scene, effort)
 
 
-def basis_answers(of: Target, seed: int) -> Answers:
+def basis_responses(of: Target, seed: int) -> Responses:
     """Answers to the 25 basis lights of order 4, everything the surface does with them included."""
     options = TransportOptions(ORDER, of.effort.bounces, of.effort.paths, gloss_order=ORDER)
     runs = [render_aovs(of.scene, of.effort.samples, 2 * seed + k, options) for k in range(2)]
-    mask = counted(of.subject, runs[0])
+    mask = masked_pixels(of.subject, runs[0])
     first, second = (_pixels(run.transport, mask) for run in runs)
     if of.scene.gloss:
         first, second = (
             answers + _pixels(np.repeat(run.gloss[..., None], 3, axis=-1), mask)
             for answers, run in zip((first, second), runs, strict=True)
         )
-    return Answers(first, second, analytic(runs[0], mask), np.eye(COUNT), mask)
+    return Responses(first, second, analytic_responses(runs[0], mask), np.eye(COUNT), mask)
 
 
-def directional_answers(
+def directional_responses(
     of: Target,
     directions: Array,
     seed: int,
     on_batch: Callable[[], None] = lambda: None,
-) -> Answers:
+) -> Responses:
     """Answers to directional lights of irradiance 1, with hard shadows and interreflection.
 
     Args:
@@ -196,22 +196,22 @@ def directional_answers(
                 of.scene, of.effort.lamp_samples, 2 * seed + k, options, padded[start : start + _LAMPS]
             )
             if mask is None:
-                mask = counted(of.subject, run)
-                model = analytic(run, mask)
+                mask = masked_pixels(of.subject, run)
+                model = analytic_responses(run, mask)
             found.append(_pixels(run.directional, mask).astype(np.float32))
             on_batch()
         runs.append(np.concatenate(found, axis=1)[:, : len(directions)])
     assert mask is not None
     assert model is not None
-    return Answers(runs[0], runs[1], model, sh_basis(directions, ORDER).T, mask)
+    return Responses(runs[0], runs[1], model, sh_basis(directions, ORDER).T, mask)
 
 
-def batches(directions: int) -> int:
-    """How often ``directional_answers`` reports for a number of directions."""
+def light_batches(directions: int) -> int:
+    """How often ``directional_responses`` reports for a number of directions."""
     return 2 * -(-directions // _LAMPS)
 
 
-def counted(subject: Subject, maps: TransportMaps) -> npt.NDArray[np.bool_]:
+def masked_pixels(subject: Subject, maps: TransportMaps) -> npt.NDArray[np.bool_]:
     """(H, W) pixels that errors are measured on: face skin of a head, what else fills its pixel.
 
     Raises:
@@ -224,7 +224,7 @@ def counted(subject: Subject, maps: TransportMaps) -> npt.NDArray[np.bool_]:
     return mask
 
 
-def analytic(maps: TransportMaps, mask: npt.NDArray[np.bool_]) -> Array:
+def analytic_responses(maps: TransportMaps, mask: npt.NDArray[np.bool_]) -> Array:
     """(3, 25, P) image of the SH renderer under each basis light: albedo A_l / pi Y_k(normal)."""
     normals = maps.normal[mask].astype(np.float64)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
@@ -270,11 +270,11 @@ def draw_prior(directions: Array, count: int, seed: int, spec: LightSpec = PRIOR
     front = directions[directions[:, 2] >= np.cos(np.radians(LARGEST_ANGLE))]
     nearest = nearest_direction(equirect_directions(*MAP_SIZE), directions)
     lights = [sample_scene_light(rng, spec, front) for _ in range(count)]
-    weights = [gathered(light, directions, nearest) for light in lights]
+    weights = [gather_responses(light, directions, nearest) for light in lights]
     return Prior(tuple(light.name for light in lights), np.array(weights))
 
 
-def gathered(light: Light, directions: Array, nearest: npt.NDArray[np.intp]) -> Array:
+def gather_responses(light: Light, directions: Array, nearest: npt.NDArray[np.intp]) -> Array:
     """(N, 3) irradiance from each direction; all light of a map's texel comes from the nearest one.
 
     Args:
@@ -296,7 +296,7 @@ def nearest_direction(vectors: Array, directions: Array) -> npt.NDArray[np.intp]
     return np.asarray(np.argmax(vectors @ directions.T, axis=-1))
 
 
-def prior_errors(forms: Forms, prior: Prior, order: int) -> Array:
+def prior_errors(forms: PreparedResponses, prior: Prior, order: int) -> Array:
     """(L,) relative RMS error of the model of an order under each light, over all colours."""
     error, truth = forms.error(order), forms.truth
     off = np.einsum("lnc,cnm,lmc->l", prior.weights, error, prior.weights, optimize=True)
@@ -304,11 +304,11 @@ def prior_errors(forms: Forms, prior: Prior, order: int) -> Array:
     return np.asarray(np.sqrt(np.maximum(off, 0.0) / power))
 
 
-def mean(errors: Array) -> float:
+def mean_error(errors: Array) -> float:
     """Mean error over lights (L,)."""
     return float(errors.mean())
 
 
-def p95(errors: Array) -> float:
+def percentile_95(errors: Array) -> float:
     """95th percentile of errors over lights (L,)."""
     return float(np.quantile(errors, 0.95))

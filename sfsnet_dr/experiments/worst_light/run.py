@@ -16,20 +16,20 @@ import numpy.typing as npt
 
 from sfsnet_dr.experiments.worst_light.responses import (
     ORDER,
-    Answers,
     Effort,
-    Forms,
+    PreparedResponses,
     Prior,
+    Responses,
     Target,
-    basis_answers,
-    batches,
-    directional_answers,
+    basis_responses,
+    directional_responses,
     draw_prior,
+    light_batches,
     prior_errors,
-    target,
+    select_target,
 )
-from sfsnet_dr.experiments.worst_light.search import Worst, worst_non_negative, worst_signed
-from sfsnet_dr.metrics.bootstrap import Interval, interval
+from sfsnet_dr.experiments.worst_light.search import WorstLightResult, worst_non_negative, worst_signed
+from sfsnet_dr.metrics.bootstrap import Interval, bootstrap_interval
 from sfsnet_dr.metrics.noise_free import RelativeRmse, relative_rmse
 from sfsnet_dr.render.path_tracer import path_trace
 from sfsnet_dr.scene.lights.equirect import MAP_SIZE
@@ -99,8 +99,8 @@ class OrderResult:
         prior: (L,) relative errors under the lights of the prior.
     """
 
-    signed: Worst
-    non_negative: Worst
+    signed: WorstLightResult
+    non_negative: WorstLightResult
     directional: Directional
     prior: Array
 
@@ -142,15 +142,15 @@ class WorstLight:
 
     def prior_interval(self, order: int, statistic: Callable[[Array], float]) -> Interval:
         """95 % interval of a statistic over the lights of the prior."""
-        return interval(self.by_order[order].prior, statistic)
+        return bootstrap_interval(self.by_order[order].prior, statistic)
 
 
-def steps(effort: Effort) -> int:
-    """How often ``study`` reports."""
-    return 2 + batches(len(icosphere(effort.level))) + 3
+def study_steps(effort: Effort) -> int:
+    """How often ``study_worst_light`` reports."""
+    return 2 + light_batches(len(icosphere(effort.level))) + 3
 
 
-def study(
+def study_worst_light(
     subject: Subject,
     effort: Effort,
     *,
@@ -169,10 +169,10 @@ def study(
         seed: of all random numbers.
         step: called ``steps(effort)`` times.
     """
-    of, directions = target(subject, effort), icosphere(effort.level)
-    basis = basis_answers(of, seed)
+    of, directions = select_target(subject, effort), icosphere(effort.level)
+    basis = basis_responses(of, seed)
     step()
-    lamps = directional_answers(of, directions, seed, step)
+    lamps = directional_responses(of, directions, seed, step)
     prior = draw_prior(directions, lights, seed)
     step()
     forms, hard = basis.forms(), lamps.forms()
@@ -200,7 +200,7 @@ def study(
     )
 
 
-def directional_errors(forms: Forms, directions: Array, order: int) -> Directional:
+def directional_errors(forms: PreparedResponses, directions: Array, order: int) -> Directional:
     """Errors of the model of an order under each of N directional lights, over all colours."""
     off = np.maximum(np.einsum("cnn->n", forms.error(order)), 0.0)
     power = np.einsum("cnn->n", forms.truth)
@@ -210,7 +210,9 @@ def directional_errors(forms: Forms, directions: Array, order: int) -> Direction
     return Directional(own, np.sqrt(off / power.mean()), float(np.sqrt(off.mean() / power.mean())))
 
 
-def _by_order(forms: Forms, hard: Forms, prior: Prior, directions: Array, order: int) -> OrderResult:
+def _by_order(
+    forms: PreparedResponses, hard: PreparedResponses, prior: Prior, directions: Array, order: int
+) -> OrderResult:
     return OrderResult(
         signed=_worst_colour(forms, order, worst_signed),
         non_negative=_worst_colour(forms, order, worst_non_negative),
@@ -219,14 +221,16 @@ def _by_order(forms: Forms, hard: Forms, prior: Prior, directions: Array, order:
     )
 
 
-def _worst_colour(forms: Forms, order: int, search: Callable[[Array, Array, float], Worst]) -> Worst:
+def _worst_colour(
+    forms: PreparedResponses, order: int, search: Callable[[Array, Array, float], WorstLightResult]
+) -> WorstLightResult:
     """The worst light of one colour: colours do not mix, so that no coloured light is worse."""
     errors = forms.error(order)
     found = [replace(search(errors[c], forms.truth[c], DIMMEST), colour=c) for c in range(3)]
     return max(found, key=lambda one: one.error)
 
 
-def _shown_mixture(of: Target, basis: Answers, light: Worst, order: int, seed: int) -> Shown:
+def _shown_mixture(of: Target, basis: Responses, light: WorstLightResult, order: int, seed: int) -> Shown:
     """Images under a light of one colour; errors count a dim image as the search does."""
     colour = light.colour
     weights = np.zeros((len(light.light), 3))
@@ -262,7 +266,7 @@ def _traced_sky(of: Target, sky: Array, seed: int) -> list[Image]:
 
 
 def _shown_direction(
-    of: Target, lamps: Answers, directions: Array, index: int, order: int, seed: int
+    of: Target, lamps: Responses, directions: Array, index: int, order: int, seed: int
 ) -> Shown:
     weights = np.zeros((len(directions), 3))
     weights[index] = 1.0
@@ -285,7 +289,7 @@ def _scaled(error: RelativeRmse, factor: float) -> RelativeRmse:
     return RelativeRmse(error.value * factor, error.low * factor, error.high * factor, error.bias_squared)
 
 
-def _noise(basis: Answers, forms: Forms) -> float:
+def _noise(basis: Responses, forms: PreparedResponses) -> float:
     return float(
         max(
             np.sqrt(np.linalg.eigvalsh(noise)[-1] / np.linalg.eigvalsh(truth)[-1])

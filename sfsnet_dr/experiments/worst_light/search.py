@@ -26,7 +26,7 @@ _MIXTURES = np.linspace(0.0, np.pi, 361)[:-1]
 
 
 @dataclass(frozen=True, eq=False)
-class Worst:
+class WorstLightResult:
     """A light and how wrong the model is under it.
 
     Attributes:
@@ -50,7 +50,7 @@ def relative_errors(lights: Array, error: Array, truth: Array, dimmest: float) -
     return np.asarray(np.sqrt(np.maximum(_squared(lights, error), 0.0) / power))
 
 
-def worst_signed(error: Array, truth: Array, dimmest: float) -> Worst:
+def worst_signed(error: Array, truth: Array, dimmest: float) -> WorstLightResult:
     """Over all lights, negative ones included.
 
     The maximum over lights of a quotient with max(p, q) below is the minimum over t of the maximum with
@@ -88,7 +88,7 @@ def worst_signed(error: Array, truth: Array, dimmest: float) -> Worst:
 
 def worst_non_negative(
     error: Array, truth: Array, dimmest: float, *, starts: int = 6, seed: int = 0
-) -> Worst:
+) -> WorstLightResult:
     """Over lights of the same order whose radiance is negative nowhere; a local search from many starts.
 
     Such a light is a sum of squares of expansions of half the order, q^T C C^T q: searched are the C. What is
@@ -101,7 +101,7 @@ def worst_non_negative(
         starts: number of random starts.
         seed: of the starts.
     """
-    products = squares(order_of(len(truth)))
+    products = squared_error_matrix(order_of(len(truth)))
     count, size, _ = products.shape
     flat = products.reshape(count, -1)
     floor = dimmest**2 * _brightest(truth)
@@ -124,7 +124,7 @@ def worst_non_negative(
     return _worst(light_of(best[1].reshape(size, -1)), error, truth, dimmest, bound=np.inf)
 
 
-def squares(order: int) -> Array:
+def squared_error_matrix(order: int) -> Array:
     """(K, k, k): coefficients to an even order of the products of two basis functions of half that order."""
     heights, weights = np.polynomial.legendre.leggauss(order + 2)  # exact for products of three
     turns = 2 * np.pi * np.arange(2 * order + 2) / (2 * order + 2)
@@ -142,11 +142,13 @@ def _descend(objective: Callable[[Array], tuple[float, Array]], start: Array) ->
     return float(result.fun), np.asarray(result.x)
 
 
-def _worst(light: Array, error: Array, truth: Array, dimmest: float, bound: float) -> Worst:
+def _worst(light: Array, error: Array, truth: Array, dimmest: float, bound: float) -> WorstLightResult:
     light = light / np.linalg.norm(light)
     light = light if light[0] >= 0 else -light
     brightness = np.sqrt(max(float(_squared(light, truth)), 0.0) / _brightest(truth))
-    return Worst(light, float(relative_errors(light, error, truth, dimmest)), bound, float(brightness))
+    return WorstLightResult(
+        light, float(relative_errors(light, error, truth, dimmest)), bound, float(brightness)
+    )
 
 
 def _squared(lights: Array, form: Array) -> Array:

@@ -29,9 +29,9 @@ from typing import Any, Final, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from sfsnet_dr.core.config import as_dict, build
+from sfsnet_dr.core.config import as_dict, build_dataclass
 from sfsnet_dr.core.errors import InputError, NotInstalled, RunError
-from sfsnet_dr.core.worker_process import Child, ChildFailed
+from sfsnet_dr.core.worker_process import WorkerFailed, WorkerProcess
 from sfsnet_dr.render.renderers.base import Budget, Capabilities, Image
 from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.mesh import Mesh
@@ -69,8 +69,8 @@ def read_subject(folder: Path) -> Subject:
         InputError: for a folder of another format.
     """
     told = _read(folder / "subject.json")
-    spec = build(SceneSpec, _without_none(told["spec"]), str(folder))
-    camera = build(CameraSpec, _without_none(told["camera"]), str(folder))
+    spec = build_dataclass(SceneSpec, _without_none(told["spec"]), str(folder))
+    camera = build_dataclass(CameraSpec, _without_none(told["camera"]), str(folder))
     with np.load(folder / "mesh.npz", allow_pickle=False) as arrays:
         mesh = Mesh(**{name: arrays[name] for name in arrays.files})
     return Subject(spec, int(told["seed"]), mesh, camera)
@@ -135,7 +135,7 @@ TIME_LIMIT: Final = 1800.0
 
 Command = tuple[tuple[str, ...], Mapping[str, str]]
 
-_children: dict[tuple[str, ...], Child] = {}
+_children: dict[tuple[str, ...], WorkerProcess] = {}
 
 
 class RemoteRenderer:
@@ -173,18 +173,18 @@ class RemoteRenderer:
             }
             try:
                 answer = child.ask(question, TIME_LIMIT)
-            except ChildFailed as failed:
+            except WorkerFailed as failed:
                 raise RunError(f"{self.name}: {failed}") from failed
             if "error" in answer:
                 raise RunError(f"{self.name}: {answer['error']}")
             image: Image = np.load(out, allow_pickle=False)
             return image
 
-    def _child(self) -> Child:
+    def _child(self) -> WorkerProcess:
         command, environment = self._command()
         child = _children.get(command)
         if child is None or not child.alive:
-            child = _children[command] = Child(command, environment)
+            child = _children[command] = WorkerProcess(command, environment)
         return child
 
 
@@ -204,7 +204,7 @@ _SCRIPT = Path(__file__).with_name("cycles_process.py")
 _VARIANTS = {"mitsuba-scalar": "scalar_rgb", "mitsuba-spectral": "llvm_ad_spectral"}
 
 
-def make(tracer: str, depth: str, bounces: int) -> RemoteRenderer:
+def make_remote(tracer: str, depth: str, bounces: int) -> RemoteRenderer:
     """A renderer by the two parts of its name; all of them leave gloss out."""
     capabilities = Capabilities(visibility=True, bounces=bounces, noisy=True)
     command = cycles_command if tracer == "cycles" else partial(_mitsuba_command, _VARIANTS[tracer])

@@ -17,7 +17,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from sfsnet_dr.core.errors import NotInstalled
-from sfsnet_dr.core.worker_process import Answer, Child, ChildFailed, one_line, serve
+from sfsnet_dr.core.worker_process import Answer, WorkerFailed, WorkerProcess, one_line, serve
 from sfsnet_dr.render.renderers.base import Budget, Capabilities, Image, Renderer
 from sfsnet_dr.render.renderers.registry import find_renderer, is_built_in, renderers
 from sfsnet_dr.render.renderers.remote import (
@@ -71,10 +71,10 @@ class Outcome:
     failure: Failure | None
 
 
-_children: dict[str, Child] = {}
+_children: dict[str, WorkerProcess] = {}
 
 
-def run_guarded(
+def run_sandboxed(
     name: str, subject: Subject, light: Light, budget: Budget, time_limit: float = TIME_LIMIT
 ) -> Outcome:
     """Render with a renderer that may fail in any way.
@@ -96,7 +96,7 @@ def run_guarded(
     return _apart(name, subject, light, budget, time_limit)
 
 
-def refusal(image: Any, size: int) -> str | None:
+def invalid_image_reason(image: Any, size: int) -> str | None:
     """Why something is no image of a size, in one line; None if it is one."""
     if not isinstance(image, np.ndarray):
         return f"{type(image).__name__} found, a NumPy array (H, W, 3) expected"
@@ -114,7 +114,7 @@ def _here(name: str, subject: Subject, light: Light, budget: Budget) -> Outcome:
         renderer = find_renderer(name)
         capabilities = renderer.capabilities
         image = renderer.render(subject, light, budget)
-        wrong = refusal(image, subject.camera.size)
+        wrong = invalid_image_reason(image, subject.camera.size)
         failure = Failure("no image", wrong) if wrong else None
     except NotInstalled as missing:
         failure = Failure("not installed", str(missing))
@@ -140,7 +140,7 @@ def _apart(name: str, subject: Subject, light: Light, budget: Budget, time_limit
         }
         try:
             answer = _child(name).ask(question, time_limit)
-        except ChildFailed as end:
+        except WorkerFailed as end:
             return failed(end.how, str(end))
         capabilities = Capabilities(**answer["capabilities"]) if "capabilities" in answer else None
         if "error" in answer:
@@ -149,11 +149,11 @@ def _apart(name: str, subject: Subject, light: Light, budget: Budget, time_limit
     return Outcome(name, image, float(answer["seconds"]), capabilities, None)
 
 
-def _child(name: str) -> Child:
+def _child(name: str) -> WorkerProcess:
     child = _children.get(name)
     if child is None or not child.alive:
         command, environment = our_python("-m", "sfsnet_dr.render.renderers.sandbox", name)
-        child = _children[name] = Child(command, environment)
+        child = _children[name] = WorkerProcess(command, environment)
     return child
 
 
@@ -176,7 +176,7 @@ def _answering(name: str) -> Callable[[Answer], Answer]:
         except Exception as error:  # told together with what the renderer says of itself
             return {**said, "error": one_line(error)}
         said["seconds"] = time.perf_counter() - begin
-        wrong = refusal(image, subject.camera.size)
+        wrong = invalid_image_reason(image, subject.camera.size)
         if wrong:
             return {**said, "error": wrong, "failure": "no image"}
         np.save(question["out"], image, allow_pickle=False)

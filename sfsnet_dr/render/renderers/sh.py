@@ -54,7 +54,7 @@ class SurfaceMaps:
     albedo: Planes
 
 
-def once(make: Callable[Concatenate[K, P], V]) -> Callable[Concatenate[K, P], V]:
+def memoize(make: Callable[Concatenate[K, P], V]) -> Callable[Concatenate[K, P], V]:
     """Remember results for as long as the first argument lives; the others have to be hashable."""
     known: WeakKeyDictionary[K, dict[tuple[object, ...], V]] = WeakKeyDictionary()
 
@@ -68,7 +68,7 @@ def once(make: Callable[Concatenate[K, P], V]) -> Callable[Concatenate[K, P], V]
     return remembered
 
 
-@once
+@memoize
 def surface_maps(subject: Subject, seed: int = 0) -> SurfaceMaps:
     """Normals and covered albedo; ``sampling.transport`` of the subject's scene says with how many rays."""
     rays = max(MAP_RAYS, subject.spec.sampling.transport)
@@ -76,20 +76,20 @@ def surface_maps(subject: Subject, seed: int = 0) -> SurfaceMaps:
     return SurfaceMaps(_planes(seen.normal), _planes(seen.albedo * seen.coverage[..., None]))
 
 
-@once
+@memoize
 def direct_transport(subject: Subject, seed: int = 0) -> Planes:
     """(25, H, W, 3) answer to the radiance basis lights of order 4, cast shadows included."""
     return _transport(subject, seed, bounces=0)
 
 
-@once
+@memoize
 def bounced_transport(subject: Subject, seed: int = 0) -> Planes:
     """As ``direct_transport``, with light that met one further point of the surface."""
     return _transport(subject, seed, bounces=1)
 
 
-@once
-def radiance(light: Light) -> Radiance:
+@memoize
+def light_radiance(light: Light) -> Radiance:
     """All the light's radiance coefficients of order 4, directional lights smeared into them."""
     return light.coefficients(TRANSPORT_ORDER)
 
@@ -126,7 +126,7 @@ class ShadingRenderer:
     def render(self, subject: Subject, light: Light, budget: Budget) -> Image:
         """An image (H, W, 3): float64 by NumPy, else float32."""
         maps = surface_maps(subject, budget.seed)
-        shading = radiance(light).truncate(self._order).to_shading().flat()[None]
+        shading = light_radiance(light).truncate(self._order).to_shading().flat()[None]
         return np.moveaxis(self._form(maps.normal, maps.albedo, shading)[0], 0, -1)
 
 
@@ -147,7 +147,9 @@ class TransportRenderer:
 
     def render(self, subject: Subject, light: Light, budget: Budget) -> Image:
         """An image (H, W, 3): float64 by NumPy, float32 by Dr.Jit."""
-        return self._weigh(self._answers(subject, budget.seed), radiance(light).truncate(self._order).values)
+        return self._weigh(
+            self._answers(subject, budget.seed), light_radiance(light).truncate(self._order).values
+        )
 
 
 def _by_numpy(normal: Planes, albedo: Planes, shading: Array) -> Image:
@@ -174,8 +176,8 @@ _SHADING: Final[dict[str, Callable[[Planes, Planes, Array], Image]]] = {
 _TRANSPORT: Final[dict[str, dict[str, Callable[[Subject, int], Any]]]] = {
     "numpy": {"visibility": direct_transport, "bounce": bounced_transport},
     "drjit": {
-        "visibility": once(lambda subject, seed: DrjitTransport(direct_transport(subject, seed))),
-        "bounce": once(lambda subject, seed: DrjitTransport(bounced_transport(subject, seed))),
+        "visibility": memoize(lambda subject, seed: DrjitTransport(direct_transport(subject, seed))),
+        "bounce": memoize(lambda subject, seed: DrjitTransport(bounced_transport(subject, seed))),
     },
 }
 _WEIGH: Final[dict[str, Callable[[Any, Array], Image]]] = {

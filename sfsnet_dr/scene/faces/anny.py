@@ -7,7 +7,7 @@ import numpy.typing as npt
 from scipy import sparse
 
 from sfsnet_dr.scene.faces import anny_data, subdivision
-from sfsnet_dr.scene.faces.expressions import gaze_weights, head_expression
+from sfsnet_dr.scene.faces.expressions import gaze_weights, sample_expression
 from sfsnet_dr.scene.faces.model import (
     EYE_SURFACE,
     HeadShape,
@@ -72,7 +72,7 @@ class AnnyFace:
         model, rng = self._head, streams(Stream.SHAPE)
         macro = anny_data.macro_weights(model.macro_names, sample_phenotype(person, rng))
         local = _paired(model.local_names, rng, head.identity)
-        actions = head_expression(model.action_names, streams(Stream.EXPRESSION), head)
+        actions = sample_expression(model.action_names, streams(Stream.EXPRESSION), head)
         actions = np.minimum(
             actions + gaze_weights(model.action_names, streams(Stream.GAZE), _LIDS_AT_REST), 1.0
         )

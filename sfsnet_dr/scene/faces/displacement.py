@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sfsnet_dr.scene.faces.hair import Hair
 from sfsnet_dr.scene.faces.noise import noise_bank
-from sfsnet_dr.scene.faces.per_head_cache import per_head
+from sfsnet_dr.scene.faces.per_head_cache import cached_per_head
 from sfsnet_dr.scene.faces.person import Person
 from sfsnet_dr.scene.faces.regions import RegionWeights, smoothstep
 from sfsnet_dr.scene.faces.zones import FaceZones, face_zones
@@ -46,7 +46,7 @@ class Grooves:
     mouth: Array
 
 
-def displace(
+def displace_mesh(
     vertices: Array,
     normals: Array,
     weights: RegionWeights,
@@ -70,7 +70,7 @@ def displace(
     person_rng, skin_rng, crease_rng, hair_rng = rng.spawn(4)
     person = Person.sample(person_rng) if person is None else person
     zones = face_zones(weights)
-    height = skin_relief(weights, zones, person, skin_rng) + creases(weights, zones, person, crease_rng)
+    height = skin_relief(weights, zones, person, skin_rng) + crease_depth(weights, zones, person, crease_rng)
     height *= 1.0 - np.clip(weights.eyeball + weights.teeth + weights.tongue + weights.mouth_inside, 0.0, 1.0)
     if hair is not None:
         height = height * (1.0 - hair.cover()) + hair_relief(weights, zones, hair, hair_rng)
@@ -92,7 +92,7 @@ def skin_relief(weights: RegionWeights, zones: FaceZones, person: Person, rng: n
     return np.asarray(height + weights.lips * furrows)
 
 
-def creases(weights: RegionWeights, zones: FaceZones, person: Person, rng: np.random.Generator) -> Array:
+def crease_depth(weights: RegionWeights, zones: FaceZones, person: Person, rng: np.random.Generator) -> Array:
     """(V,) mm: wrinkles across the forehead, between the brows, beside and under the eyes, by the mouth."""
     side, height, _ = zones.place.T
     warp = noise_bank(weights).draw(2.0, 3, rng)
@@ -120,7 +120,7 @@ def hair_relief(weights: RegionWeights, zones: FaceZones, hair: Hair, rng: np.ra
     return np.asarray(brow + beard + scalp + stubble)
 
 
-@per_head
+@cached_per_head
 def _grooves(weights: RegionWeights) -> Grooves:
     zones = face_zones(weights)
     return Grooves(

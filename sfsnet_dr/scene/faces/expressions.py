@@ -44,7 +44,7 @@ _GAZE_SPREAD, _GAZE_LIMIT = 0.22, 0.5
 _SMILE: Units = _MOUTH[1]
 
 
-def head_expression(names: tuple[str, ...], rng: np.random.Generator, head: HeadSpec) -> Array:
+def sample_expression(names: tuple[str, ...], rng: np.random.Generator, head: HeadSpec) -> Array:
     """Weights (len(names),) in [0, 1] of the expression that a scene asks for: its smile, or a random one."""
     if head.smile is None:
         return expression_weights(names, rng, head.expression)

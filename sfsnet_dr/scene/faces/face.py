@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from sfsnet_dr.scene.faces.appearance import Appearance, skin_appearance
-from sfsnet_dr.scene.faces.displacement import displace
+from sfsnet_dr.scene.faces.displacement import displace_mesh
 from sfsnet_dr.scene.faces.model import FaceModel, HeadShape, Stream, Streams, streams_of
 from sfsnet_dr.scene.faces.person import Person
-from sfsnet_dr.scene.faces.pose import Pose, place
-from sfsnet_dr.scene.faces.registry import load_model
+from sfsnet_dr.scene.faces.pose import Pose, place_head
+from sfsnet_dr.scene.faces.registry import load_face_model
 from sfsnet_dr.scene.mesh import Mesh, vertex_normals
 from sfsnet_dr.scene.spec import SceneSpec
 
@@ -49,7 +49,7 @@ def sample_face(seed: int, spec: SceneSpec) -> Face:
     Raises:
         InputError: for another shape, or a missing or damaged model file.
     """
-    model, streams = load_model(spec), streams_of(seed)
+    model, streams = load_face_model(spec), streams_of(seed)
     person = Person.sample(streams(Stream.PERSON))
     shape = model.shape(person, streams, spec.head)
     if spec.head.tone is not None:
@@ -62,10 +62,10 @@ def sample_face(seed: int, spec: SceneSpec) -> Face:
     vertices = shape.vertices
     if spec.head.relief:
         hair = appearance.hair if appearance else None
-        vertices = displace(vertices, model.normals, model.weights, streams(Stream.RELIEF), person, hair)
+        vertices = displace_mesh(vertices, model.normals, model.weights, streams(Stream.RELIEF), person, hair)
     vertices = _deepened(vertices, shape.eyes, spec, streams)
     pose = Pose.sample(streams(Stream.POSE), spec.head, spec.camera)
-    placed = place(np.vstack([shape.eyes, vertices]), shape.eyes, pose, pose.camera(spec.camera))
+    placed = place_head(np.vstack([shape.eyes, vertices]), shape.eyes, pose, pose.camera(spec.camera))
     mesh = Mesh(
         vertices=placed[2:],
         faces=model.faces,
@@ -93,7 +93,7 @@ def _deepened(vertices: Array, eyes: Array, spec: SceneSpec, streams: Streams) -
 def sample_shape(seed: int, spec: SceneSpec) -> HeadShape:
     """The head of a seed alone, in the common frame of the face models, without relief."""
     streams = streams_of(seed)
-    return load_model(spec).shape(Person.sample(streams(Stream.PERSON)), streams, spec.head)
+    return load_face_model(spec).shape(Person.sample(streams(Stream.PERSON)), streams, spec.head)
 
 
 def _given_albedo(seed: int, spec: SceneSpec, model: FaceModel) -> Array | None:

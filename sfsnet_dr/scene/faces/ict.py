@@ -10,8 +10,8 @@ import numpy.typing as npt
 from scipy import sparse
 
 from sfsnet_dr.scene.faces import subdivision
-from sfsnet_dr.scene.faces.expressions import gaze_weights, head_expression
-from sfsnet_dr.scene.faces.ict_files import VERTEX_COUNT, IctFiles, read_ict
+from sfsnet_dr.scene.faces.expressions import gaze_weights, sample_expression
+from sfsnet_dr.scene.faces.ict_files import VERTEX_COUNT, IctData, read_ict
 from sfsnet_dr.scene.faces.ict_regions import (
     EYEBALLS,
     LANDMARKS,
@@ -82,7 +82,7 @@ class IctFace:
     def shape(self, person: Person, streams: Streams, head: HeadSpec) -> HeadShape:
         """Random identity, expression and gaze. FaceKit's modes know no sex and age."""
         modes = _coefficients(streams(Stream.SHAPE), len(self._identity), _SPREAD * head.identity)
-        units = head_expression(self._units, streams(Stream.EXPRESSION), head)
+        units = sample_expression(self._units, streams(Stream.EXPRESSION), head)
         units += gaze_weights(self._units, streams(Stream.GAZE), _LIDS_AT_REST)
         units = np.minimum(units, 1.0) + self._closed_lips(modes)
         moved = np.tensordot(modes, self._identity, 1) + np.tensordot(
@@ -120,7 +120,7 @@ def _coefficients(rng: np.random.Generator, count: int, spread: float) -> npt.ND
     return np.asarray(spread * values, dtype=np.float32)
 
 
-def to_common_frame(files: IctFiles) -> tuple[KeptMesh, float]:
+def to_common_frame(files: IctData) -> tuple[KeptMesh, float]:
     """The used part of the mesh, moved and scaled so that its eyeballs' centres are Anny's."""
     kept = kept_vertices()
     number = np.full(VERTEX_COUNT, -1, dtype=np.int64)
@@ -141,7 +141,7 @@ def to_common_frame(files: IctFiles) -> tuple[KeptMesh, float]:
     return KeptMesh(kept, neutral, mesh.uv, mesh.quads, mesh.triangles), scale
 
 
-def _island(files: IctFiles) -> Array:
+def _island(files: IctData) -> Array:
     """(V, 2) texture coordinates; a vertex on a seam gets those with the smaller u, which is the face's."""
     uv = np.full((VERTEX_COUNT, 2), np.inf)
     corner, place = files.faces.ravel(), files.uv[files.uv_faces.ravel()].astype(np.float64)

@@ -28,7 +28,7 @@ _KEYS = ("neutral", "faces", "uv", "uv_faces", "identity", "expression", "expres
 
 
 @dataclass(frozen=True)
-class IctFiles:
+class IctData:
     """The model as it is published.
 
     Attributes:
@@ -49,7 +49,7 @@ class IctFiles:
     expression: Halves
 
 
-def read_ict(path: Path) -> IctFiles:
+def read_ict(path: Path) -> IctData:
     """Read the model from a compact file, or from a clone (or its ``FaceXModel`` folder).
 
     The OBJ files take about 20 s, the compact file one.
@@ -65,7 +65,7 @@ def read_ict(path: Path) -> IctFiles:
     return _read_compact(path)
 
 
-def _read_compact(path: Path) -> IctFiles:
+def _read_compact(path: Path) -> IctData:
     try:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             missing = [key for key in _KEYS if key not in file]
@@ -86,7 +86,7 @@ def _read_compact(path: Path) -> IctFiles:
     )
 
 
-def _read_folder(folder: Path) -> IctFiles:
+def _read_folder(folder: Path) -> IctData:
     neutral, uv, faces, uv_faces = _read_mesh(folder / _NEUTRAL)
     identity = [folder / f"identity{k:03d}.obj" for k in range(IDENTITY_COUNT)]
     others = {_NEUTRAL} | {path.name for path in identity}
@@ -164,7 +164,7 @@ def _checked(
     identity: npt.NDArray[np.floating],
     names: tuple[str, ...],
     expression: npt.NDArray[np.floating],
-) -> IctFiles:
+) -> IctData:
     wanted = {
         "neutral": (neutral.shape, (VERTEX_COUNT, 3)),
         "identity": (identity.shape, (IDENTITY_COUNT, VERTEX_COUNT, 3)),
@@ -187,7 +187,7 @@ def _checked(
     for name, index, count in (("faces", faces, VERTEX_COUNT), ("uv_faces", uv_faces, len(uv))):
         if not np.issubdtype(index.dtype, np.integer) or index.min() < 0 or index.max() >= count:
             raise InputError(f"{where}: {name}: indices from 0 to {count - 1} are needed")
-    return IctFiles(
+    return IctData(
         neutral=neutral.astype(np.float32),
         faces=faces.astype(np.int32),
         uv=uv.astype(np.float32),

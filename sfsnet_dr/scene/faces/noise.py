@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sfsnet_dr.scene.faces.per_head_cache import per_head
+from sfsnet_dr.scene.faces.per_head_cache import cached_per_head
 from sfsnet_dr.scene.faces.regions import RegionWeights
 
 Array = NDArray[np.float64]
@@ -63,7 +63,7 @@ class NoiseBank:
         return self._octaves[frequency]
 
 
-@per_head
+@cached_per_head
 def noise_bank(weights: RegionWeights) -> NoiseBank:
     """The noise of a head, anchored on its neutral shape."""
     return NoiseBank(weights.neutral)

@@ -12,7 +12,7 @@ from sfsnet_dr.scene.faces.regions import RegionWeights
 T = TypeVar("T")
 
 
-def per_head(make: Callable[[RegionWeights], T]) -> Callable[[RegionWeights], T]:
+def cached_per_head(make: Callable[[RegionWeights], T]) -> Callable[[RegionWeights], T]:
     """Call ``make`` once for each ``RegionWeights`` and keep the result while those live.
 
     The weights are told apart by identity: they hold arrays, which have no hash.

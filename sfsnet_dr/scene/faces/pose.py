@@ -18,7 +18,7 @@ _PIXELS_PER_UNIT = FACE_SIZE / 2  # at z = 0: the view is 2 units wide whatever 
 #: Width of film, mm, and the share of it that the canonical frame fills.
 _FILM, _FILLED = 36.0, 0.4
 
-_ROUNDS = 16  # of ``place`` at most; yaw 60 before a phone at 3.6 units needs 6
+_ROUNDS = 16  # of ``place_head`` at most; yaw 60 before a phone at 3.6 units needs 6
 _CLOSE_ENOUGH = 1e-3  # pixels
 
 
@@ -65,13 +65,13 @@ class Pose:
         return replace(camera, distance=self.distance, focal=None)
 
 
-def distance_of(focal: float) -> float:
+def camera_distance(focal: float) -> float:
     """Scene units from which a focal length (mm on 36 x 24 mm film) shows the canonical frame as wide as
     ``_FILLED`` of the film; longer lenses stand farther away and flatten the face."""
     return 2.0 * focal / (_FILLED * _FILM)
 
 
-def rotation(yaw: float, pitch: float) -> Array:
+def rotation_matrix(yaw: float, pitch: float) -> Array:
     """(3, 3) rotation: first yaw about y, then pitch about x; degrees."""
     a, b = np.radians([yaw, pitch])
     about_y = np.array([[np.cos(a), 0, np.sin(a)], [0, 1, 0], [-np.sin(a), 0, np.cos(a)]])
@@ -79,14 +79,14 @@ def rotation(yaw: float, pitch: float) -> Array:
     return np.asarray(about_x @ about_y)
 
 
-def project(points: Array, camera: CameraSpec) -> Array:
+def project_points(points: Array, camera: CameraSpec) -> Array:
     """Pixels (x right, y down) of the canonical 128 x 128 frame at which points (..., 3) are seen."""
     depth = camera.distance - points[..., 2:3]
     seen = points[..., :2] * (camera.distance / depth)
     return np.asarray(FACE_SIZE / 2 + _PIXELS_PER_UNIT * seen * (1.0, -1.0))
 
 
-def place(points: Array, eyes: Array, pose: Pose, camera: CameraSpec) -> Array:
+def place_head(points: Array, eyes: Array, pose: Pose, camera: CameraSpec) -> Array:
     """Turn points about the middle of the eyes, bring that to its pixel and the eyes to one line.
 
     The head's size is that at which the eyes, if they were equally far away, would be seen as far apart as in
@@ -107,19 +107,19 @@ def place(points: Array, eyes: Array, pose: Pose, camera: CameraSpec) -> Array:
         InputError: if the camera is so close that no size of the head does that.
     """
     middle = eyes.mean(axis=0)
-    turn = rotation(pose.yaw, pose.pitch)
+    turn = rotation_matrix(pose.yaw, pose.pitch)
     points, eyes = (points - middle) @ turn.T, (eyes - middle) @ turn.T
     target = _eye_target(pose)
     across = target[1] - target[0]
     for _ in range(_ROUNDS):  # perspective makes it slightly nonlinear; each round divides the error
-        seen = _as_complex(project(eyes, camera))
+        seen = _as_complex(project_points(eyes, camera))
         line = (seen[1] - seen[0]) / abs(seen[1] - seen[0])
         factor = across / (line * _facing_distance(eyes, camera))
         offset = (target - seen).mean()
         if max(abs(offset), abs(across) * abs(1 - factor)) < _CLOSE_ENOUGH:
             return points
         points, eyes = _similarity(points, factor), _similarity(eyes, factor)
-        offset = (target - _as_complex(project(eyes, camera))).mean()
+        offset = (target - _as_complex(project_points(eyes, camera))).mean()
         shift = np.array([offset.real, -offset.imag, 0.0]) / _PIXELS_PER_UNIT
         points, eyes = points + shift, eyes + shift
     raise InputError(
@@ -137,7 +137,7 @@ def _facing_distance(eyes: Array, camera: CameraSpec) -> float:
 def _sample_distance(rng: np.random.Generator, camera: CameraSpec) -> float:
     if camera.focal is None:
         return camera.distance
-    return distance_of(float(np.exp(rng.uniform(*np.log(camera.focal)))))
+    return camera_distance(float(np.exp(rng.uniform(*np.log(camera.focal)))))
 
 
 def _eye_target(pose: Pose) -> npt.NDArray[np.complex128]:

@@ -151,7 +151,7 @@ def distance_to(points: Array, path: Array) -> tuple[Array, Array]:
     return nearest, position
 
 
-def inside(points: Array, outline: Array) -> npt.NDArray[np.bool_]:
+def inside_outline(points: Array, outline: Array) -> npt.NDArray[np.bool_]:
     """Whether (N, 2) points lie inside a closed (K, 2) polygon (even-odd rule)."""
     within = np.zeros(len(points), dtype=bool)
     x, y = points.T
@@ -165,4 +165,4 @@ def inside(points: Array, outline: Array) -> npt.NDArray[np.bool_]:
 def signed_distance(points: Array, outline: Array) -> Array:
     """(N,) distance to a closed (K, 2) polygon, positive inside."""
     away, _ = distance_to(points, np.vstack([outline, outline[:1]]))
-    return np.where(inside(points, outline), away, -away)
+    return np.where(inside_outline(points, outline), away, -away)

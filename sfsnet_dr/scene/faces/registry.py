@@ -10,7 +10,7 @@ from sfsnet_dr.scene.faces.model import FaceModel
 from sfsnet_dr.scene.spec import FACE_SHAPES, SceneSpec
 
 
-def load_model(spec: SceneSpec) -> FaceModel:
+def load_face_model(spec: SceneSpec) -> FaceModel:
     """The face model of a scene, read once per process.
 
     Raises:

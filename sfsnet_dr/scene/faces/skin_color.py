@@ -35,10 +35,10 @@ def skin_rgb(reflectance: ArrayLike, floor: float | None = GAMUT_FLOOR) -> Array
         (..., 3).
     """
     linear = np.asarray(np.asarray(reflectance, dtype=np.float64) @ _weights())
-    return linear if floor is None else into_gamut(linear, floor)
+    return linear if floor is None else clip_to_gamut(linear, floor)
 
 
-def into_gamut(linear: ArrayLike, floor: float = GAMUT_FLOOR) -> Array:
+def clip_to_gamut(linear: ArrayLike, floor: float = GAMUT_FLOOR) -> Array:
     """Move colours (..., 3) toward the grey of their luminance until no channel is below ``floor``.
 
     Luminance is kept, hue nearly; only chroma falls. A colour whose luminance is itself below the floor

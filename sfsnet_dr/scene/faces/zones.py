@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from sfsnet_dr.scene.faces.per_head_cache import per_head
+from sfsnet_dr.scene.faces.per_head_cache import cached_per_head
 from sfsnet_dr.scene.faces.regions import RegionWeights, smoothstep
 
 Array = NDArray[np.float64]
@@ -61,7 +61,7 @@ class FaceZones:
     brow_middle: Field
 
 
-@per_head
+@cached_per_head
 def face_zones(weights: RegionWeights) -> FaceZones:
     """The zones of a head."""
     place = _in_anny_frame(weights)

@@ -54,7 +54,7 @@ class Panel:
         return np.cos(a) * aside + np.sin(a) * up, np.cos(a) * up - np.sin(a) * aside
 
 
-def studio(panels: tuple[Panel, ...], walls: Array, floor: Array) -> Array:
+def studio_environment(panels: tuple[Panel, ...], walls: Array, floor: Array) -> Array:
     """Environment map (64, 128, 3) of panels before walls.
 
     Args:

@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from sfsnet_dr.core.color import LUMINANCE
 from sfsnet_dr.core.conventions import LIGHT_ORDER
-from sfsnet_dr.scene.lights.cache import LightBank
-from sfsnet_dr.scene.lights.light import MAP_ORDER, NEAR, SOFT, face_normals
+from sfsnet_dr.scene.lights.cache import LightCache
+from sfsnet_dr.scene.lights.light import MAP_ORDER, SNAP_DEG, SOFT_KAPPA, face_normals
 from sfsnet_dr.scene.lights.sampling import LARGEST_TILT
 from sfsnet_dr.scene.lights.spec import LightSpec
 from sfsnet_dr.scene.lights.vmf_lobes import lobe_bands
@@ -46,12 +46,12 @@ class Lighting:
         return Lighting(self.radiance[which], self.irradiance[which], self.label[which], self.level[which])
 
 
-def light_faces(rng: np.random.Generator, bank: LightBank, directions: Array, spec: LightSpec) -> Lighting:
+def light_faces(rng: np.random.Generator, bank: LightCache, directions: Array, spec: LightSpec) -> Lighting:
     """Draw a light for each face.
 
     Lamps of a studio come from directions that the face has a response to. Surroundings with a sun are turned
     about the vertical and tilted by at most ``LARGEST_TILT`` until it shines from one; what is hard beside it
-    becomes soft unless it lies within ``NEAR`` degrees of one too.
+    becomes soft unless it lies within ``SNAP_DEG`` degrees of one too.
 
     Args:
         rng: the only source of randomness.
@@ -96,17 +96,17 @@ def _places(
 def _snapped(
     places: npt.NDArray[np.intp], toward: Array, power: Array, directions: Array
 ) -> npt.NDArray[np.intp]:
-    """Lamps that have no direction yet get one within ``NEAR`` degrees."""
+    """Lamps that have no direction yet get one within ``SNAP_DEG`` degrees."""
     if not directions.shape[1]:
         return places
     cosines = np.einsum("bmi,bdi->bmd", toward, directions)
-    near = (cosines.max(axis=-1) >= np.cos(np.radians(NEAR))) & power.any(axis=-1)
+    near = (cosines.max(axis=-1) >= np.cos(np.radians(SNAP_DEG))) & power.any(axis=-1)
     return np.where((places < 0) & near, cosines.argmax(axis=-1), places)
 
 
 def _softened(toward: Array, power: Array) -> Array:
     """Coefficients (B, 25, 3) of lamps (B, M, 3) as by thin cloud (``Light.softened``)."""
-    basis = sh_basis(toward, MAP_ORDER) * lobe_bands(SOFT, MAP_ORDER)
+    basis = sh_basis(toward, MAP_ORDER) * lobe_bands(SOFT_KAPPA, MAP_ORDER)
     return np.asarray(np.einsum("bmk,bmc->bkc", basis, power))
 
 

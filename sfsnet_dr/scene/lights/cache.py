@@ -27,7 +27,7 @@ from sfsnet_dr.core.provenance import sha256
 from sfsnet_dr.scene.lights.environment_map import MOST, list_maps
 from sfsnet_dr.scene.lights.light import MAP_ORDER, Light
 from sfsnet_dr.scene.lights.photo_prior import FITTED, read_mixture
-from sfsnet_dr.scene.lights.sampling import draw
+from sfsnet_dr.scene.lights.sampling import draw_kind
 from sfsnet_dr.scene.lights.spec import LightSpec
 
 Array = npt.NDArray[np.float64]
@@ -39,7 +39,7 @@ _COUNT: Final = (MAP_ORDER + 1) ** 2
 
 
 @dataclass(frozen=True, eq=False)
-class LightBank:
+class LightCache:
     """N lights, neither exposed nor white-balanced.
 
     Attributes:
@@ -67,9 +67,9 @@ class LightBank:
         return len(self.radiance)
 
 
-def draw_bank(
+def draw_lights(
     spec: LightSpec, count: int, seed: int, on_light: Callable[[], object] | None = None
-) -> LightBank:
+) -> LightCache:
     """Draw lights, calling ``on_light`` after each; light n depends on the spec, the seed and n alone.
 
     Raises:
@@ -81,22 +81,22 @@ def draw_bank(
     def light(number: int) -> tuple[Light, bool]:
         rng = np.random.default_rng([seed, _STREAM, number])
         kind = kinds[rng.choice(len(kinds), p=shares / shares.sum())]
-        drawn = draw(kind, rng, spec)
+        drawn = draw_kind(kind, rng, spec)
         if on_light is not None:
             on_light()
         return drawn, kind == "directional"
 
-    return bank_of((light(n) for n in range(count)), bank_fingerprint(spec, count, seed))
+    return light_cache_of((light(n) for n in range(count)), light_fingerprint(spec, count, seed))
 
 
-def bank_of(lights: Iterable[tuple[Light, bool]], fingerprint: str = "") -> LightBank:
+def light_cache_of(lights: Iterable[tuple[Light, bool]], fingerprint: str = "") -> LightCache:
     """A bank of given lights, each with whether its lamps may come from anywhere."""
     rows = [(*_compact(light), free) for light, free in lights]
     radiance, toward, power, free = (np.array(column) for column in zip(*rows, strict=True))
-    return LightBank(radiance, toward, power, free, fingerprint)
+    return LightCache(radiance, toward, power, free, fingerprint)
 
 
-def bank_fingerprint(spec: LightSpec, count: int, seed: int) -> str:
+def light_fingerprint(spec: LightSpec, count: int, seed: int) -> str:
     """A hash of all that decides a bank, the maps' bytes included but not where they lie.
 
     Raises:
@@ -111,14 +111,14 @@ def bank_fingerprint(spec: LightSpec, count: int, seed: int) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def kept_bank(
+def load_or_draw_lights(
     path: Path, spec: LightSpec, count: int, seed: int, on_light: Callable[[], object] | None = None
-) -> LightBank:
+) -> LightCache:
     """The bank that a file keeps; drawn and written there if the file is missing or holds another."""
-    fingerprint = bank_fingerprint(spec, count, seed)
+    fingerprint = light_fingerprint(spec, count, seed)
     if path.is_file() and (found := _read(path)) is not None and found.fingerprint == fingerprint:
         return found
-    bank = draw_bank(spec, count, seed, on_light)
+    bank = draw_lights(spec, count, seed, on_light)
     with atomic_path(path) as partial, partial.open("wb") as file:
         np.savez(
             file,
@@ -131,12 +131,12 @@ def kept_bank(
     return bank
 
 
-def _read(path: Path) -> LightBank | None:
+def _read(path: Path) -> LightCache | None:
     """None for a file that was cut off or damaged: it can be made again."""
     try:
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
             arrays = {name: file[name] for name in ("radiance", "toward", "power", "free")}
-            return LightBank(**arrays, fingerprint=str(file["fingerprint"]))
+            return LightCache(**arrays, fingerprint=str(file["fingerprint"]))
     except (OSError, ValueError, KeyError, EOFError, BadZipFile):
         return None
 

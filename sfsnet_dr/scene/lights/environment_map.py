@@ -24,7 +24,7 @@ from scipy import ndimage
 from sfsnet_dr.core.color import LUMINANCE
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.core.image_io import read_image
-from sfsnet_dr.scene.lights.equirect import pixel_directions, pixel_solid_angles, resample
+from sfsnet_dr.scene.lights.equirect import pixel_directions, pixel_solid_angles, resample_map
 from sfsnet_dr.scene.lights.light import DirectionalLight, Light
 
 Array = npt.NDArray[np.float64]
@@ -93,7 +93,7 @@ def _load(path: Path, changed: int) -> Light:
     if not pixels.any():
         raise InputError(f"{path}: black from end to end; an environment map must hold light")
     rest, lamps = split_lamps(pixels)
-    environment = resample(rest)
+    environment = resample_map(rest)
     environment.setflags(write=False)  # it is kept and shared
     return Light(path.stem, environment, lamps)
 

@@ -1,7 +1,7 @@
 """Environment maps as pictures: looked up, turned, and brought to the size that a scene takes.
 
 Convention of maps: that of ``sh.projection``. Files of other programs put the centre of row i at
-v = (i + 1/2) / H, not i / (H - 1); ``resample`` goes from there to here.
+v = (i + 1/2) / H, not i / (H - 1); ``resample_map`` goes from there to here.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ Array = npt.NDArray[np.float64]
 #: Rows and columns of a scene's map; texels of 2.8 degrees, which resolve the sharpest lobe of ``sh.priors``.
 MAP_SIZE = (64, 128)
 
-_STEPS = 16  # midpoints a source pixel in the integrals of ``resample``
+_STEPS = 16  # midpoints a source pixel in the integrals of ``resample_map``
 
 
-def lookup(image: Array, directions: Array) -> Array:
+def sample_map(image: Array, directions: Array) -> Array:
     """Radiance (..., C) from unit directions (..., 3): the bilinear function of the map (H, W, C)."""
     height, width, _ = image.shape
     u = np.arctan2(directions[..., 0], -directions[..., 2]) / (2 * np.pi)
@@ -39,10 +39,10 @@ def turn_map(image: Array, rotation: Array) -> Array:
     Each texel is looked up bilinearly, which blurs by up to half a texel.
     """
     height, width, _ = image.shape
-    return lookup(image, equirect_directions(height, width) @ rotation)
+    return sample_map(image, equirect_directions(height, width) @ rotation)
 
 
-def resample(picture: Array) -> Array:
+def resample_map(picture: Array) -> Array:
     """A file's equirectangular picture (H, W, C) as a map (64, 128, C).
 
     Every texel is the mean of the picture under the texel's bilinear hat, so that the light that arrives from

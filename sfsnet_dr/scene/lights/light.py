@@ -29,10 +29,10 @@ DirectionalLight = tuple[Array, Array]
 
 #: Degrees within which a directional light counts as coming from a given direction: a nose's shadow of 30
 #: pixels then moves by one.
-NEAR: Final = 2.0
+SNAP_DEG: Final = 2.0
 
 #: Sharpness of the lobe that stands for a softened light: a standard deviation of about 20 degrees.
-SOFT: Final = 8.0
+SOFT_KAPPA: Final = 8.0
 
 #: Order of the coefficients that stand for an environment map.
 MAP_ORDER = 4
@@ -185,16 +185,18 @@ class Light:
         a lobe, while a hard light's would ring: negative light, and noise multiplied.
 
         Args:
-            directions: (D, 3) unit vectors; lights within ``NEAR`` degrees of one stay as they are.
+            directions: (D, 3) unit vectors; lights within ``SNAP_DEG`` degrees of one stay as they are.
         """
-        near = np.cos(np.radians(NEAR))
+        near = np.cos(np.radians(SNAP_DEG))
         hard = tuple(lamp for lamp in self.directional if np.any(directions @ lamp[0] >= near))
         soft = [lamp for lamp in self.directional if not np.any(directions @ lamp[0] >= near)]
         if not soft:
             return self
         texels = equirect_directions(*MAP_SIZE)
         environment = np.zeros((*MAP_SIZE, 3)) if self.environment is None else self.environment
-        environment = environment + sum(Lobe(toward, SOFT, power).radiance(texels) for toward, power in soft)
+        environment = environment + sum(
+            Lobe(toward, SOFT_KAPPA, power).radiance(texels) for toward, power in soft
+        )
         return replace(self, environment=environment, directional=hard)
 
     def turned(self, rotation: Array) -> Light:
@@ -216,7 +218,7 @@ class Light:
         return float(level)
 
 
-def heading(azimuth: float, elevation: float) -> Array:
+def direction_from_angles(azimuth: float, elevation: float) -> Array:
     """Unit vector (3,) at degrees of azimuth, from +z (the viewer) toward +x, and elevation above."""
     a, e = np.radians([azimuth, elevation])
     return np.array([np.cos(e) * np.sin(a), np.sin(e), np.cos(e) * np.cos(a)])

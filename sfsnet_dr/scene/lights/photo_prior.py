@@ -164,7 +164,7 @@ _SHARPNESS: Final = 12.0
 _EVEN: Final = 1e-3
 
 
-def draw_fitted(rng: np.random.Generator, mixture: str | None = None) -> Light:
+def draw_photo_light(rng: np.random.Generator, mixture: str | None = None) -> Light:
     """A light of the mixture in a file, the package's own if none is given.
 
     Raises:

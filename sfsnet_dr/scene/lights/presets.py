@@ -16,10 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from sfsnet_dr.core.errors import InputError, nearest
-from sfsnet_dr.scene.lights.area_lights import Panel, studio
+from sfsnet_dr.scene.lights.area_lights import Panel, studio_environment
 from sfsnet_dr.scene.lights.environment_map import list_maps, load_environment
 from sfsnet_dr.scene.lights.equirect import MAP_SIZE
-from sfsnet_dr.scene.lights.light import Light, heading
+from sfsnet_dr.scene.lights.light import Light, direction_from_angles
 from sfsnet_dr.scene.lights.vmf_lobes import sample_lights
 from sfsnet_dr.sh.projection import equirect_directions
 
@@ -99,7 +99,7 @@ def require_light(light: Light) -> Light:
     return light
 
 
-def describe(light: Light) -> str:
+def describe_light(light: Light) -> str:
     """What a light of a set is, in a few words; for others, what they are made of."""
     word = light.name.rstrip("0123456789")
     number = light.name[len(word) :]
@@ -117,12 +117,12 @@ def describe(light: Light) -> str:
     return known.get(word, " and ".join(made_of))
 
 
-def constant() -> Light:
+def constant_light() -> Light:
     """The same radiance from everywhere: order 0 holds all of it."""
     return Light("constant", np.ones((*MAP_SIZE, 3))).exposed(EXPOSURE)
 
 
-def band(number: int) -> Light:
+def band_light(number: int) -> Light:
     """A constant and one harmonic of a band, as strong as it can be without negative light.
 
     The harmonic is the zonal one about the upper right, 45 degrees from the viewer.
@@ -133,7 +133,7 @@ def band(number: int) -> Light:
     return Light(f"band{number}", np.repeat(values[..., None], 3, axis=-1)).exposed(EXPOSURE)
 
 
-def natural(number: int) -> Light:
+def natural_light(number: int) -> Light:
     """A dome with soft lobes of the light prior (``sh.priors``), the same as in the demo."""
     lights = sample_lights(np.random.default_rng(_NATURAL_SEED), _NATURAL)
     return Light(f"natural{number}", lights[number].equirect(*MAP_SIZE)).exposed(EXPOSURE)
@@ -142,23 +142,23 @@ def natural(number: int) -> Light:
 def studio_light() -> Light:
     """A key panel from the upper right, a weaker fill from the left and a rim light, in a dim room."""
     panels = (
-        _panel(heading(40, 30), (20.0, 20.0), 10.0 * _WHITE),
-        _panel(heading(-50, 5), (30.0, 30.0), 1.5 * np.array([0.9, 1.0, 1.15])),
-        _panel(heading(150, 25), (12.0, 30.0), 12.0 * np.array([1.1, 1.0, 0.85])),
+        _panel(direction_from_angles(40, 30), (20.0, 20.0), 10.0 * _WHITE),
+        _panel(direction_from_angles(-50, 5), (30.0, 30.0), 1.5 * np.array([0.9, 1.0, 1.15])),
+        _panel(direction_from_angles(150, 25), (12.0, 30.0), 12.0 * np.array([1.1, 1.0, 0.85])),
     )
-    return Light("studio", studio(panels, np.full(3, 0.08), np.full(3, 0.05))).exposed(EXPOSURE)
+    return Light("studio", studio_environment(panels, np.full(3, 0.08), np.full(3, 0.05))).exposed(EXPOSURE)
 
 
-def directional(angle: float) -> Light:
+def directional_light(angle: float) -> Light:
     """One white lamp, ``angle`` degrees from the viewer's direction toward the upper right."""
     toward = np.cos(np.radians(angle)) * np.array([0.0, 0.0, 1.0]) + np.sin(np.radians(angle)) * _ASIDE
     return Light(f"directional{angle:g}", None, ((toward, np.pi * _WHITE),)).exposed(EXPOSURE)
 
 
-def two_colours() -> Light:
+def two_color_light() -> Light:
     """A warm lamp from the left and a cool one from the upper right, both hard."""
     warm, cool = np.array([1.0, 0.45, 0.15]), np.array([0.2, 0.5, 1.0])
-    lamps = ((heading(-50, 10), np.pi * warm), (heading(40, 35), np.pi * cool))
+    lamps = ((direction_from_angles(-50, 10), np.pi * warm), (direction_from_angles(40, 35), np.pi * cool))
     return Light("two_colours", None, lamps).exposed(EXPOSURE)
 
 
@@ -166,18 +166,18 @@ def sun_and_sky(name: str, sunshine: float) -> Light:
     """The sun 40 degrees high at the upper right, or the same sky behind clouds, over grey ground."""
     from sfsnet_dr.scene.lights.sun_sky import sun_sky
 
-    light = sun_sky(heading(35, 40), 3.0, np.full(3, 0.25), sunshine)
+    light = sun_sky(direction_from_angles(35, 40), 3.0, np.full(3, 0.25), sunshine)
     return Light(name, light.environment, light.directional).balanced(1.0).exposed(EXPOSURE)
 
 
 @cache
 def _makers() -> dict[str, _Maker]:
-    makers: dict[str, _Maker] = {"constant": constant}
-    makers |= {f"band{k}": partial(band, k) for k in (1, 2, 3, 4)}
-    makers |= {f"natural{k}": partial(natural, k) for k in range(_NATURAL)}
+    makers: dict[str, _Maker] = {"constant": constant_light}
+    makers |= {f"band{k}": partial(band_light, k) for k in (1, 2, 3, 4)}
+    makers |= {f"natural{k}": partial(natural_light, k) for k in range(_NATURAL)}
     makers |= {"studio": studio_light, "overcast": partial(sun_and_sky, "overcast", 0.0)}
-    makers |= {f"directional{a}": partial(directional, a) for a in _ANGLES}
-    return makers | {"sun_sky": partial(sun_and_sky, "sun_sky", 1.0), "two_colours": two_colours}
+    makers |= {f"directional{a}": partial(directional_light, a) for a in _ANGLES}
+    return makers | {"sun_sky": partial(sun_and_sky, "sun_sky", 1.0), "two_colours": two_color_light}
 
 
 def _from_files(folder: Path | str) -> dict[str, _Maker]:

@@ -13,11 +13,11 @@ import numpy.typing as npt
 
 from sfsnet_dr.core.color import blackbody_tint
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.scene.lights.area_lights import Panel, studio
+from sfsnet_dr.scene.lights.area_lights import Panel, studio_environment
 from sfsnet_dr.scene.lights.environment_map import list_maps, load_environment
 from sfsnet_dr.scene.lights.equirect import MAP_SIZE
-from sfsnet_dr.scene.lights.light import Light, heading, rotation_about
-from sfsnet_dr.scene.lights.photo_prior import draw_fitted
+from sfsnet_dr.scene.lights.light import Light, direction_from_angles, rotation_about
+from sfsnet_dr.scene.lights.photo_prior import draw_photo_light
 from sfsnet_dr.scene.lights.spec import LightKind, LightSpec
 from sfsnet_dr.scene.lights.vmf_lobes import sample_lights
 from sfsnet_dr.sh.projection import equirect_directions
@@ -55,13 +55,13 @@ def sample_scene_light(rng: np.random.Generator, spec: LightSpec, directions: Ar
     weights = spec.weights()
     kinds = list(weights)
     kind = kinds[rng.choice(len(kinds), p=np.array(list(weights.values())) / sum(weights.values()))]
-    light = draw(kind, rng, spec, directions).balanced(rng.uniform(*spec.white_balance))
+    light = draw_kind(kind, rng, spec, directions).balanced(rng.uniform(*spec.white_balance))
     if directions is not None:
         light = light.softened(directions)
     return light.exposed(float(np.exp(rng.uniform(*np.log(spec.exposure)))))
 
 
-def draw(
+def draw_kind(
     kind: LightKind, rng: np.random.Generator, spec: LightSpec, directions: Array | None = None
 ) -> Light:
     """A light of one kind, neither exposed nor balanced; arguments as of ``sample_scene_light``."""
@@ -74,7 +74,7 @@ def draw(
     if kind == "lobes":
         return Light("lobes", sample_lights(rng, 1)[0].equirect(*MAP_SIZE))
     if kind == "fitted":
-        return draw_fitted(rng, spec.mixture)
+        return draw_photo_light(rng, spec.mixture)
     if kind == "directional":
         return _lamps(rng, directions)
     return Light("ambient", _dome(rng, 1.0))
@@ -91,7 +91,7 @@ def turn_to(toward: Array, target: Array) -> Array:
     """(3, 3) rotation that takes one direction to another: about the vertical, then a tilt of the rest."""
     azimuths = [np.degrees(np.arctan2(d[0], d[2])) for d in (toward, target)]
     heights = [np.degrees(np.arcsin(np.clip(d[1], -1.0, 1.0))) for d in (toward, target)]
-    sideways = heading(azimuths[1] + 90.0, 0.0)
+    sideways = direction_from_angles(azimuths[1] + 90.0, 0.0)
     return rotation_about(sideways, heights[0] - heights[1]) @ rotation_about(_UP, azimuths[1] - azimuths[0])
 
 
@@ -101,7 +101,7 @@ def _map_from_file(rng: np.random.Generator, spec: LightSpec, directions: Array 
     maps = list_maps(spec.environments)
     light = load_environment(maps[rng.integers(len(maps))])
     turn = rotation_about(_UP, rng.uniform(0, 360))
-    tilt = rotation_about(heading(rng.uniform(0, 360), 0.0), rng.uniform(0, 10))
+    tilt = rotation_about(direction_from_angles(rng.uniform(0, 360), 0.0), rng.uniform(0, 10))
     if directions is None or not light.directional:
         return light.turned(tilt @ turn)
     sun = light.directional[0][0]
@@ -117,7 +117,7 @@ def _daylight(rng: np.random.Generator, directions: Array | None) -> Light:
     from sfsnet_dr.scene.lights.sun_sky import ELEVATION, sun_sky
 
     low, high = ELEVATION[0] + 3.0, 75.0
-    sun = heading(rng.uniform(-180, 180), rng.uniform(low, high))
+    sun = direction_from_angles(rng.uniform(-180, 180), rng.uniform(low, high))
     sunshine = float(rng.choice([1.0, rng.uniform(0.05, 1.0), 0.0], p=[0.5, 0.3, 0.2]))
     if directions is not None and sunshine > 0:
         heights = np.degrees(np.arcsin(np.clip(directions[:, 1], -1.0, 1.0)))
@@ -132,19 +132,23 @@ def _studio(rng: np.random.Generator) -> Light:
     """A key panel in front, perhaps a fill, a rim light behind and a hair light above, in a dim room."""
     side = rng.choice([-1.0, 1.0])
     key_tint = _tint(rng)
-    panels = [_panel(rng, heading(side * rng.uniform(0, 70), rng.uniform(-15, 60)), 1.0, key_tint)]
+    panels = [
+        _panel(rng, direction_from_angles(side * rng.uniform(0, 70), rng.uniform(-15, 60)), 1.0, key_tint)
+    ]
     if rng.random() < 0.6:
-        fill = heading(-side * rng.uniform(10, 80), rng.uniform(-30, 40))
+        fill = direction_from_angles(-side * rng.uniform(10, 80), rng.uniform(-30, 40))
         panels.append(
             _panel(rng, fill, rng.uniform(0.1, 0.6), key_tint if rng.random() < 0.6 else _tint(rng))
         )
     if rng.random() < 0.4:
-        rim = heading(rng.choice([-1, 1]) * rng.uniform(100, 160), rng.uniform(-10, 50))
+        rim = direction_from_angles(rng.choice([-1, 1]) * rng.uniform(100, 160), rng.uniform(-10, 50))
         panels.append(_panel(rng, rim, rng.uniform(0.3, 1.5), _tint(rng)))
     if rng.random() < 0.2:
-        panels.append(_panel(rng, heading(rng.uniform(-180, 180), 80), rng.uniform(0.2, 0.8), _tint(rng)))
+        panels.append(
+            _panel(rng, direction_from_angles(rng.uniform(-180, 180), 80), rng.uniform(0.2, 0.8), _tint(rng))
+        )
     walls = _tint(rng) * rng.uniform(0.01, 0.15)
-    return Light("studio", studio(tuple(panels), walls, walls * rng.uniform(0.2, 1.5)))
+    return Light("studio", studio_environment(tuple(panels), walls, walls * rng.uniform(0.2, 1.5)))
 
 
 def _panel(rng: np.random.Generator, direction: Array, share: float, tint: Array) -> Panel:

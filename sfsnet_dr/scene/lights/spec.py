@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from sfsnet_dr.core.config import added
+from sfsnet_dr.core.config import added_field
 from sfsnet_dr.core.errors import InputError
 
 LightKind = Literal["hdr", "sun_sky", "studio", "directional", "ambient", "lobes", "fitted"]
@@ -38,8 +38,8 @@ class LightSpec:
     environments: str | None = None
     exposure: tuple[float, float] = (0.5, 1.2)
     white_balance: tuple[float, float] = (0.6, 1.0)
-    fitted: float = added(0.0)
-    mixture: str | None = added(None)
+    fitted: float = added_field(0.0)
+    mixture: str | None = added_field(None)
 
     def weights(self) -> dict[LightKind, float]:
         """Kinds with a weight above 0 that can be drawn.

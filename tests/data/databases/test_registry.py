@@ -69,10 +69,10 @@ def test_yale_b_names_what_it_skips(tmp_path: Path) -> None:
 
 
 def test_the_nineteen_lights_are_nineteen_of_the_rig() -> None:
-    from sfsnet_dr.experiments.photometric_stereo.check import rig
+    from sfsnet_dr.experiments.photometric_stereo.check import light_rig
 
     assert len(set(LIGHTS_19)) == 19
-    lights = rig()
+    lights = light_rig()
     assert len({tuple(np.round(light, 6)) for light in lights}) == 64
     for name in LIGHTS_19:
         azimuth, elevation = np.radians(float(name[1:5])), np.radians(float(name[6:]))

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.data.batch import FaceBatch
-from sfsnet_dr.data.normal_dataset import SurfaceFaces, SurfaceOptions
+from sfsnet_dr.data.normal_dataset import NormalLabelFaces, NormalLabelOptions
 from sfsnet_dr.data.transforms.affine import InPlane
 from sfsnet_dr.render.shading_torch import f_render
 from sfsnet_dr.sh.rotation import rotation_matrix
@@ -83,11 +83,11 @@ def test_what_labels_render_moves_with_them() -> None:
 
 
 def test_captures_are_moved_with_their_labels() -> None:
-    options = SurfaceOptions(exposure=0.0, roll=20, scale=0.1, shift=0.1)
-    real = SurfaceFaces([face("a1", 64), face("a2", 64)], 4, options, seed=3)
+    options = NormalLabelOptions(exposure=0.0, roll=20, scale=0.1, shift=0.1)
+    real = NormalLabelFaces([face("a1", 64), face("a2", 64)], 4, options, seed=3)
     batch, still = (
         real.batch(1),
-        SurfaceFaces([face("a1", 64), face("a2", 64)], 4, SurfaceOptions(exposure=0.0), 3),
+        NormalLabelFaces([face("a1", 64), face("a2", 64)], 4, NormalLabelOptions(exposure=0.0), 3),
     )
     assert not torch.equal(batch.faces.image, still.batch(1).faces.image)
     assert real.names(1) == still.names(1)
@@ -102,9 +102,9 @@ def test_captures_are_moved_with_their_labels() -> None:
 def test_no_move_draws_nothing() -> None:
     """Runs of recipes without moves go on as before."""
     faces = [face("a3", SIZE)]
-    plain = SurfaceFaces(faces, 2, SurfaceOptions(), seed=1).batch(5)
-    assert SurfaceOptions().moves(np.random.default_rng(0), 2, SIZE) is None
-    tiny = SurfaceFaces(faces, 2, replace(SurfaceOptions(), shift=1e-7), seed=1).batch(5)
+    plain = NormalLabelFaces(faces, 2, NormalLabelOptions(), seed=1).batch(5)
+    assert NormalLabelOptions().moves(np.random.default_rng(0), 2, SIZE) is None
+    tiny = NormalLabelFaces(faces, 2, replace(NormalLabelOptions(), shift=1e-7), seed=1).batch(5)
     for name, planes in plain.faces._asdict().items():
         if name != "mask":
             torch.testing.assert_close(getattr(tiny.faces, name), planes, rtol=1e-4, atol=1e-4)
@@ -114,4 +114,4 @@ def test_no_move_draws_nothing() -> None:
 @pytest.mark.parametrize("wrong", [{"roll": 50}, {"scale": 0.6}, {"shift": -0.1}])
 def test_moves_out_of_range_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(InputError, match=rf"surfaces\.{next(iter(wrong))}"):
-        SurfaceOptions(**wrong)  # type: ignore[arg-type]
+        NormalLabelOptions(**wrong)  # type: ignore[arg-type]

@@ -9,14 +9,14 @@ import pytest
 import torch
 
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.data.transforms.background import Augmentation, backgrounds
+from sfsnet_dr.data.transforms.background import Augmentation, render_backgrounds
 from sfsnet_dr.scene.lights.spec import LightSpec
 
 
 def many(seed: int = 0) -> torch.Tensor:
     """Backgrounds of 300 faces under white light of level 1, before a red place."""
     lit, place = np.ones((300, 3)), np.tile([2.0, 0.0, 0.0], (300, 1))
-    return backgrounds(np.random.default_rng(seed), lit, place, (24, 16), "cpu")
+    return render_backgrounds(np.random.default_rng(seed), lit, place, (24, 16), "cpu")
 
 
 def test_backgrounds_are_repeatable_and_vary() -> None:

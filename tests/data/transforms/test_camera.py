@@ -12,9 +12,9 @@ from sfsnet_dr.data.transforms.camera import (
     READ_NOISE,
     PhotoEffects,
     PhotoOptions,
-    frames,
-    photograph,
+    frame_masks,
     sample_effects,
+    simulate_photograph,
 )
 
 PLAIN = PhotoEffects(gain=np.ones(3), blur=0.0, noise=0.0, quality=None, grey=False, seed=0)
@@ -29,7 +29,9 @@ def image(size: int = 64) -> torch.Tensor:
 
 def take(effects: PhotoEffects, picture: torch.Tensor | None = None) -> torch.Tensor:
     picture = image() if picture is None else picture
-    return photograph(picture, torch.ones(1, 1, *picture.shape[-2:]), torch.zeros_like(picture), [effects])
+    return simulate_photograph(
+        picture, torch.ones(1, 1, *picture.shape[-2:]), torch.zeros_like(picture), [effects]
+    )
 
 
 def test_no_effect_is_the_image() -> None:
@@ -47,7 +49,7 @@ def test_the_background_shows_where_the_face_is_not() -> None:
     coverage = torch.zeros(1, 1, 64, 64)
     coverage[..., :32] = 1
     behind = torch.full((1, 3, 64, 64), 0.5)
-    got = photograph(image() * coverage, coverage, behind, [PLAIN])
+    got = simulate_photograph(image() * coverage, coverage, behind, [PLAIN])
     torch.testing.assert_close(got[..., 32:], behind[..., 32:])
     torch.testing.assert_close(got[..., :32], image()[..., :32])
 
@@ -93,7 +95,7 @@ def test_jpeg_costs_detail_and_leaves_the_whole() -> None:
 def test_every_image_has_its_own_effects() -> None:
     pictures = image().expand(2, -1, -1, -1)
     effects = [PLAIN, replace(PLAIN, gain=np.full(3, 0.5))]
-    got = photograph(pictures, torch.ones(2, 1, 64, 64), torch.zeros_like(pictures), effects)
+    got = simulate_photograph(pictures, torch.ones(2, 1, 64, 64), torch.zeros_like(pictures), effects)
     torch.testing.assert_close(got[1], 0.5 * got[0])
 
 
@@ -124,12 +126,12 @@ def test_bad_options(values: dict[str, float], words: str) -> None:
 
 def test_shapes_that_do_not_fit() -> None:
     with pytest.raises(InputError, match="images"):
-        photograph(image(), torch.ones(1, 1, 64, 64), torch.zeros(1, 3, 64, 64), [PLAIN, PLAIN])
+        simulate_photograph(image(), torch.ones(1, 1, 64, 64), torch.zeros(1, 3, 64, 64), [PLAIN, PLAIN])
 
 
 def test_a_photograph_may_end_within_the_frame() -> None:
     effects = replace(PLAIN, frame=(0.25, 0.125, 0.75, 1.0))
-    inside = frames([effects, PLAIN], 64, 64)
+    inside = frame_masks([effects, PLAIN], 64, 64)
     expected = torch.zeros(64, 64)
     expected[8:, 16:48] = 1
     assert torch.equal(inside[0, 0], expected)

@@ -12,7 +12,7 @@ from PIL import Image
 from skimage import data
 
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.data.transforms.jpeg import compress
+from sfsnet_dr.data.transforms.jpeg import simulate_jpeg
 
 Picture = NDArray[np.uint8]
 
@@ -31,7 +31,7 @@ def by_file(picture: Picture, quality: int) -> NDArray[np.float64]:
 
 def by_model(picture: Picture, quality: int) -> NDArray[np.float64]:
     encoded = torch.from_numpy(np.moveaxis(picture, -1, 0)[None] / 255.0).float()
-    return np.moveaxis(compress(encoded, quality)[0].double().numpy(), 0, -1) * 255
+    return np.moveaxis(simulate_jpeg(encoded, quality)[0].double().numpy(), 0, -1) * 255
 
 
 @pytest.mark.parametrize("quality", [10, 30, 50, 75, 90])
@@ -57,11 +57,11 @@ def test_lower_quality_loses_more() -> None:
 
 def test_even_grey_survives() -> None:
     grey = torch.full((2, 3, 20, 20), 128 / 255)
-    torch.testing.assert_close(compress(grey, 50), grey, atol=1e-6, rtol=0)
+    torch.testing.assert_close(simulate_jpeg(grey, 50), grey, atol=1e-6, rtol=0)
 
 
 def test_bad_input() -> None:
     with pytest.raises(InputError, match="quality"):
-        compress(torch.zeros(1, 3, 8, 8), 0)
+        simulate_jpeg(torch.zeros(1, 3, 8, 8), 0)
     with pytest.raises(InputError, match="encoded"):
-        compress(torch.zeros(3, 8, 8), 50)
+        simulate_jpeg(torch.zeros(3, 8, 8), 50)

@@ -19,7 +19,7 @@ from sfsnet_dr.data.bundle import write_bundle
 from sfsnet_dr.data.manifest import Entry, Manifest
 from sfsnet_dr.data.transforms.background import Augmentation
 from sfsnet_dr.experiments.ablation.config import read_ablations
-from sfsnet_dr.experiments.ablation.measure import compare
+from sfsnet_dr.experiments.ablation.measure import compare_variants
 from sfsnet_dr.experiments.ablation.run import run_ablations
 from sfsnet_dr.losses.reconstruction import Backend
 from sfsnet_dr.report.record import read_records
@@ -152,7 +152,7 @@ def test_variants_are_trained_once_and_compared(
 def test_differences_are_paired_by_person_and_seed() -> None:
     first = [np.array([[1.0, 10, 0.5], [3, 90, 1.5]]), np.array([[1.0, 12, 0.5], [3, 90, 1.5]])]
     own = [rows + np.array([0, 1, 0]) * rows[:, :1] for rows in first]
-    found = compare(own, first)
+    found = compare_variants(own, first)
     assert found.mean == pytest.approx((11 + 93 + 13 + 93) / 8)
     assert found.below20 == pytest.approx(50)
     assert found.difference == pytest.approx(1)
@@ -163,7 +163,7 @@ def test_differences_are_paired_by_person_and_seed() -> None:
     np.testing.assert_allclose(found.each, 1)
     assert found.std == pytest.approx(np.std([104 / 4, 106 / 4], ddof=1))
     assert found.difference_std == pytest.approx(0, abs=1e-9)
-    assert compare(own[:1], first[:1]).std is None
+    assert compare_variants(own[:1], first[:1]).std is None
 
 
 @pytest.mark.parametrize(

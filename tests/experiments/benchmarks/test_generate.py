@@ -12,7 +12,7 @@ from sfsnet_dr.cli.bench import BenchRelight, BenchSynth
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.experiments.benchmarks import relight
 from sfsnet_dr.experiments.benchmarks.generate import write_bench
-from sfsnet_dr.experiments.benchmarks.naive_rendering import noise_of
+from sfsnet_dr.experiments.benchmarks.naive_rendering import measure_noise
 from sfsnet_dr.experiments.benchmarks.relight import PARTS, FaceErrors, bench_relight, to_records
 from sfsnet_dr.render.aovs import TransportMaps
 from sfsnet_dr.render.transport_shading import relight_responses
@@ -45,7 +45,7 @@ def noisy_capture(seed: int, noise: float) -> TransportMaps:
 
 
 def test_noise_is_found_again() -> None:
-    found = noise_of([noisy_capture(seed, 0.01) for seed in range(4)])
+    found = measure_noise([noisy_capture(seed, 0.01) for seed in range(4)])
     # 25 x 31 x 32 x 3 values with 3 degrees of freedom each: .2 %; the fewest, of gloss, .6 %
     assert found.transport == pytest.approx(0.02, rel=0.01)
     assert found.gloss == pytest.approx(0.02, rel=0.03)
@@ -115,7 +115,7 @@ def test_what_cannot_go_on_is_refused(tmp_path: Path, counted: list[int]) -> Non
 @pytest.mark.slow
 def test_a_wrong_relit_image_is_measured_and_its_causes_are_not(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(relight, "relight_responses", lambda *parts: 1.2 * relight_responses(*parts))
-    errors = relight.RelitFaces(TINY, ["ambient"]).measure(3)
+    errors = relight.RelightBenchmark(TINY, ["ambient"]).measure(3)
     found = dict(zip(PARTS, np.sqrt(np.maximum(errors.squared[0], 0)), strict=True))
     assert found["total"] == pytest.approx(0.2, abs=0.03)  # noise of the estimate at 64 paths
     assert found["rest"] == pytest.approx(0.2, abs=0.03)

@@ -12,8 +12,8 @@ from sfsnet_dr.core.errors import RunError
 from sfsnet_dr.experiments.benchmarks import common as contests
 from sfsnet_dr.experiments.benchmarks import loss, shading
 from sfsnet_dr.experiments.benchmarks.agreement import NAMES, require_agreement
-from sfsnet_dr.experiments.benchmarks.common import Times, contest
-from sfsnet_dr.experiments.benchmarks.loss_variants import VARIANTS, check
+from sfsnet_dr.experiments.benchmarks.common import Times, time_in_turns
+from sfsnet_dr.experiments.benchmarks.loss_variants import VARIANTS, check_variant
 from sfsnet_dr.losses.reconstruction import reconstruction_l1
 from sfsnet_dr.render import shading_drjit, shading_torch
 
@@ -34,7 +34,7 @@ def test_share_is_of_the_bandwidth_in_the_same_round() -> None:
 def test_every_contender_has_every_turn(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(contests, "TURN_SECONDS", 0.0)
     calls: list[str] = []
-    found = contest({"a": lambda: calls.append("a"), "b": lambda: calls.append("b")}, rounds=4)
+    found = time_in_turns({"a": lambda: calls.append("a"), "b": lambda: calls.append("b")}, rounds=4)
     assert calls[:4] == ["a", "a", "b", "b"]
     assert calls[4:] == (["a"] * contests.IN_A_ROW + ["b"] * contests.IN_A_ROW) * 4
     assert all(len(times.rounds) == 4 for times in found.values())
@@ -49,7 +49,7 @@ def test_a_turn_outlasts_the_threads_of_the_contender_before() -> None:
         calls += 1
         time.sleep(0.004 if time.perf_counter() < start + 0.02 else 0.001)
 
-    (turn,) = contest({"a": disturbed_at_first}, rounds=1)["a"].rounds
+    (turn,) = time_in_turns({"a": disturbed_at_first}, rounds=1)["a"].rounds
     assert turn < 0.003
     assert calls > contests.IN_A_ROW
 
@@ -82,17 +82,17 @@ def test_bench_render() -> None:
     assert any("bound by" in line for line in lines)
 
 
-INPUTS = loss.example((2, 16, 16))
+INPUTS = loss.example_inputs((2, 16, 16))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", VARIANTS)
 def test_every_variant_agrees_with_the_reference(name: str) -> None:
-    check(name, VARIANTS[name], INPUTS, loss.reference(INPUTS))
+    check_variant(name, VARIANTS[name], INPUTS, loss.reference_result(INPUTS))
 
 
 def test_the_variant_in_use_agrees_with_the_reference() -> None:
-    check("used", VARIANTS["used"], INPUTS, loss.reference(INPUTS))
+    check_variant("used", VARIANTS["used"], INPUTS, loss.reference_result(INPUTS))
 
 
 @pytest.mark.parametrize("part", [1, 2, 3])
@@ -103,7 +103,7 @@ def test_a_wrong_scale_of_a_gradient_stops_the_bench(part: int) -> None:
 
     wrong = VARIANTS["used"]._replace(compute=compute)
     with pytest.raises(RunError, match=f"variant 'twice': {NAMES[part]} differs from the reference by 1 "):
-        check("twice", wrong, INPUTS, loss.reference(INPUTS))
+        check_variant("twice", wrong, INPUTS, loss.reference_result(INPUTS))
 
 
 def test_a_wrong_value_stops_the_bench() -> None:
@@ -112,7 +112,9 @@ def test_a_wrong_value_stops_the_bench() -> None:
         return 1.1 * value, gradients
 
     with pytest.raises(RunError, match=r"value differs from the reference by 0\.1 "):
-        check("more", VARIANTS["used"]._replace(compute=compute), INPUTS, loss.reference(INPUTS))
+        check_variant(
+            "more", VARIANTS["used"]._replace(compute=compute), INPUTS, loss.reference_result(INPUTS)
+        )
 
 
 @pytest.mark.usefixtures("small")

@@ -15,8 +15,8 @@ from sfsnet_dr.core.errors import RunError
 from sfsnet_dr.experiments.benchmarks import common as contests
 from sfsnet_dr.experiments.benchmarks import train
 from sfsnet_dr.experiments.benchmarks.common import Times
-from sfsnet_dr.experiments.benchmarks.train import PRODUCT_SIZE, StepsApart, products
-from sfsnet_dr.train.distributed import Team
+from sfsnet_dr.experiments.benchmarks.train import PRODUCT_SIZE, StepsApart, layer_products
+from sfsnet_dr.train.distributed import ProcessGroup
 
 
 def test_shares_and_ratios_are_of_whole_steps() -> None:
@@ -30,7 +30,7 @@ def test_shares_and_ratios_are_of_whole_steps() -> None:
         "matmul": Times((0.1, 0.1)),
     }
     records, lines = train._told(
-        RECIPE, times, 2 * 10 * PRODUCT_SIZE**3, "", fast=False, native=False, team=Team()
+        RECIPE, times, 2 * 10 * PRODUCT_SIZE**3, "", fast=False, native=False, team=ProcessGroup()
     )
     values = {record.what: record.value for record in records}
     assert values["train.images_per_s"] == RECIPE.batch_size / 4
@@ -57,7 +57,7 @@ def test_a_small_bench_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 def test_products_are_counted() -> None:
     """A convolution takes as much again for its weights' gradient, and for its input's but for the first."""
     model = RECIPE.make_model()
-    found = products(RECIPE, torch.rand(2, 3, 16, 16), Team())
+    found = layer_products(RECIPE, torch.rand(2, 3, 16, 16), ProcessGroup())
     with FlopCounterMode(display=False) as counter, torch.no_grad():
         model(torch.rand(2, 3, 16, 16))
     first = next(module for module in model.modules() if isinstance(module, nn.Conv2d))

@@ -16,14 +16,14 @@ from torch import Tensor
 
 from sfsnet_dr.cli.main import main
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.data.normal_labels import SurfaceLabels, light_labels
-from sfsnet_dr.experiments.evaluation.labelled import labelled
-from sfsnet_dr.experiments.evaluation.measure import measure, scaled_rms
-from sfsnet_dr.experiments.evaluation.page import alike_as_one
-from sfsnet_dr.experiments.evaluation.records import normal_statistics, records_of
+from sfsnet_dr.data.normal_labels import NormalLabels, light_labels
+from sfsnet_dr.experiments.evaluation.labelled import labelled_samples
+from sfsnet_dr.experiments.evaluation.measure import measure_methods, scaled_rms
+from sfsnet_dr.experiments.evaluation.page import merge_equal_methods
+from sfsnet_dr.experiments.evaluation.records import evaluation_records, normal_statistics
 from sfsnet_dr.experiments.evaluation.samples import Collection
 from sfsnet_dr.inference.baselines import MeanAlbedo, MeanNormals, OneAlbedo
-from sfsnet_dr.inference.methods import Answer, FlatNormals, explained
+from sfsnet_dr.inference.methods import FlatNormals, Prediction, fit_light_and_albedo
 from sfsnet_dr.metrics.light import class_ranks, light_direction
 from sfsnet_dr.models.sfsnet import SfSNet
 from sfsnet_dr.models.weights import save_weights
@@ -38,10 +38,10 @@ def tilted(degrees: float, size: int = 4) -> Tensor:
     return normal
 
 
-def face(subject: str, degrees: float, directions: Sequence[Sequence[float]]) -> SurfaceLabels:
+def face(subject: str, degrees: float, directions: Sequence[Sequence[float]]) -> NormalLabels:
     count, normal = len(directions), tilted(degrees)
     direction = torch.tensor(np.array(directions), dtype=torch.float32)
-    return SurfaceLabels(
+    return NormalLabels(
         name=subject, subject=subject,
         lights=tuple(f"l{j}" for j in range(count)), files=tuple(f"{j}" for j in range(count)),
         image=torch.full((count, 1, 4, 4), 0.4), normal=normal, albedo=torch.full((1, 4, 4), 0.5),
@@ -50,8 +50,8 @@ def face(subject: str, degrees: float, directions: Sequence[Sequence[float]]) ->
     )  # fmt: skip
 
 
-def collected(*faces: SurfaceLabels) -> Collection:
-    return labelled("yale-b", faces, {})
+def collected(*faces: NormalLabels) -> Collection:
+    return labelled_samples("yale-b", faces, {})
 
 
 FRONT, SIDE, FAR = [0.0, 0.0, 1.0], [0.5, 0.0, 0.866], [0.98, 0.0, 0.199]
@@ -59,13 +59,13 @@ FRONT, SIDE, FAR = [0.0, 0.0, 1.0], [0.5, 0.0, 0.866], [0.98, 0.0, 0.199]
 
 def test_normals_are_pooled_over_pixels_and_split_by_the_angle_of_the_light() -> None:
     faces = collected(face("a", 10, [FRONT, SIDE, FAR]), face("b", 26, [FRONT]))
-    found = measure(FlatNormals(), faces.shots)
+    found = measure_methods(FlatNormals(), faces.shots)
     numbers = normal_statistics(found.images)
     # Three images are off by 10 degrees and one by 26: mean 14, standard deviation sqrt(3 * 16 + 144) / 2.
     assert numbers["mean_deg"] == pytest.approx(14, abs=1e-4)
     assert numbers["std_deg"] == pytest.approx(np.sqrt(48), abs=1e-4)
     assert [numbers[f"below{k}"] for k in (20, 25, 30)] == [75, 75, 100]
-    records = {r.what: r for r in records_of(faces, found, "")}
+    records = {r.what: r for r in evaluation_records(faces, found, "")}
     assert records["yale_b.flat.normals.angle0_12.mean_deg"].value == pytest.approx(18, abs=1e-4)
     assert records["yale_b.flat.normals.angle25_50.mean_deg"].value == pytest.approx(10, abs=1e-4)
     assert records["yale_b.flat.normals.angle77_180.below20"].value == 100
@@ -123,7 +123,7 @@ def test_light_of_a_shaded_ball_is_found_and_explains_it() -> None:
     light = torch.tensor(light_labels([[0.3, 0.1, 0.9]], [0.2]), dtype=torch.float32)
     light = light + torch.tensor([0.6] + [0.0] * 8).repeat(3)
     image = 0.5 * shading(normal, light)
-    answer = explained(normal, image, torch.ones(1, 1, 32, 32), ridge=1e-6)
+    answer = fit_light_and_albedo(normal, image, torch.ones(1, 1, 32, 32), ridge=1e-6)
     torch.testing.assert_close(answer.light, light, atol=1e-3, rtol=0)
     torch.testing.assert_close(answer.image, image, atol=1e-3, rtol=0)
 
@@ -172,14 +172,16 @@ def test_albedo_is_told_apart_where_the_truth_is_sure() -> None:
         confidence=torch.where(bright, 0.89, 0.91),
     )
     collection = collected(unsure)
-    found = measure(FlatNormals(), collection.shots)
+    found = measure_methods(FlatNormals(), collection.shots)
     (errors,) = found.images
     # Best constant for 1 and 3 is 2: errors 1 and 1 against squares 1 and 9.
     assert errors.albedo == pytest.approx(np.sqrt(2 / 10), abs=1e-4)
     assert errors.albedo_sure == pytest.approx(0, abs=1e-4)
-    records = {record.what for record in records_of(collection, found, "")}
+    records = {record.what for record in evaluation_records(collection, found, "")}
     assert "yale_b.flat.albedo.sure.scaled_rms" in records
-    (nowhere,) = measure(FlatNormals(), collected(replace(plain, confidence=0 * plain.mask)).shots).images
+    (nowhere,) = measure_methods(
+        FlatNormals(), collected(replace(plain, confidence=0 * plain.mask)).shots
+    ).images
     assert nowhere.albedo_sure is None
 
 
@@ -187,11 +189,11 @@ def test_reconstruction_is_measured_in_8_bit_units() -> None:
     class Black:
         name = "black"
 
-        def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Answer:
+        def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Prediction:
             normal = tilted(0).expand(len(images), -1, -1, -1)
-            return Answer(normal, images, torch.zeros(len(images), 27), torch.zeros_like(images))
+            return Prediction(normal, images, torch.zeros(len(images), 27), torch.zeros_like(images))
 
-    (errors,) = measure(Black(), collected(face("a", 0, [FRONT])).shots).images
+    (errors,) = measure_methods(Black(), collected(face("a", 0, [FRONT])).shots).images
     # .4 linear is 169.9 of 255 encoded: 255 (1.055 * .4^(1/2.4) - .055).
     assert errors.mae == pytest.approx(255 * (1.055 * 0.4 ** (1 / 2.4) - 0.055), abs=1e-3)
     assert errors.rmse == pytest.approx(errors.mae)
@@ -240,7 +242,7 @@ def test_lines_that_lie_on_each_other_are_drawn_once() -> None:
         "net": [1.0, 2.5],
         "mean-albedo": [1.0, 2.0],
     }
-    assert alike_as_one(lines) == {
+    assert merge_equal_methods(lines) == {
         "flat": [3.0, None],
         "mean-face, mean-albedo": [1.0, 2.0],
         "net": [1.0, 2.5],

@@ -18,17 +18,17 @@ from torch import Tensor
 
 from sfsnet_dr.cli.main import main
 from sfsnet_dr.core.errors import InputError, RunError
-from sfsnet_dr.data.databases.registry import open_database, recognise
+from sfsnet_dr.data.databases.registry import open_database, recognise_database
 from sfsnet_dr.experiments.evaluation import synthetic as module
-from sfsnet_dr.experiments.evaluation.collect import Amount, collect
-from sfsnet_dr.experiments.evaluation.failure_cases import examples, extremes, reason
-from sfsnet_dr.experiments.evaluation.gallery import for_transfer
+from sfsnet_dr.experiments.evaluation.collect import Amount, collect_samples
+from sfsnet_dr.experiments.evaluation.failure_cases import describe_failure, example_rows, find_extremes
+from sfsnet_dr.experiments.evaluation.gallery import samples_for_transfer
 from sfsnet_dr.experiments.evaluation.labelled import light_causes
-from sfsnet_dr.experiments.evaluation.measure import REGIONS, face_regions, measure
-from sfsnet_dr.experiments.evaluation.records import counts_of, records_of
+from sfsnet_dr.experiments.evaluation.measure import REGIONS, face_regions, measure_methods
+from sfsnet_dr.experiments.evaluation.records import evaluation_records, sample_counts
 from sfsnet_dr.experiments.evaluation.run import find_data
-from sfsnet_dr.experiments.evaluation.unlabelled import photographs
-from sfsnet_dr.inference.methods import Answer, FlatNormals
+from sfsnet_dr.experiments.evaluation.unlabelled import photograph_samples
+from sfsnet_dr.inference.methods import FlatNormals, Prediction
 from sfsnet_dr.models.sfsnet import SfSNet
 from sfsnet_dr.models.weights import save_weights
 from sfsnet_dr.scene.lights.spec import LightSpec
@@ -50,20 +50,22 @@ class Half:
 
     name = "half"
 
-    def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Answer:
+    def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Prediction:
         normal = torch.zeros_like(images)
         normal[:, 2] = 1
         light = torch.zeros(len(images), 27)
         light[:, 0] = 1
-        return Answer(normal, images, light, images / 2)
+        return Prediction(normal, images, light, images / 2)
 
 
 def test_reconstruction_that_is_the_image_by_construction_is_not_told() -> None:
     collection = collected(face("a", 0, [FRONT]), face("b", 0, [FRONT]))
-    records = {r.what for r in records_of(collection, measure(FlatNormals(), collection.shots), "")}
+    records = {
+        r.what for r in evaluation_records(collection, measure_methods(FlatNormals(), collection.shots), "")
+    }
     assert "yale_b.flat.albedo.scaled_rms" in records
     assert not any(".recon." in what for what in records)
-    records = {r.what for r in records_of(collection, measure(Half(), collection.shots), "")}
+    records = {r.what for r in evaluation_records(collection, measure_methods(Half(), collection.shots), "")}
     # Grey photographs have no Delta E.
     assert {what for what in records if ".recon." in what} == {
         "yale_b.half.recon.mae",
@@ -74,10 +76,12 @@ def test_reconstruction_that_is_the_image_by_construction_is_not_told() -> None:
 def test_colour_photographs_are_reconstructed_with_known_errors(tmp_path: Path) -> None:
     folder = write_photographs(tmp_path / "photos")
     Image.fromarray(np.zeros((110, 102, 3), np.uint8)).save(folder / "unmarked.png")
-    collection = collect("folder", [folder], Amount())
+    collection = collect_samples("folder", [folder], Amount())
     assert [len(collection.shots), len(collection.skipped)] == [5, 1]
-    found = measure(Half(), collection.shots)
-    records = {r.what: r.value for r in [*counts_of(collection, ""), *records_of(collection, found, "")]}
+    found = measure_methods(Half(), collection.shots)
+    records = {
+        r.what: r.value for r in [*sample_counts(collection, ""), *evaluation_records(collection, found, "")]
+    }
     assert [records[f"folder.{name}"] for name in ("images", "subjects", "skipped")] == [5, 5, 1]
     decoded = [((v / 255 + 0.055) / 1.055) ** 2.4 for v in (90, 100, 160)]
     encoded = [255 * (1.055 * (v / 2) ** (1 / 2.4) - 0.055) for v in decoded]
@@ -89,16 +93,16 @@ def test_colour_photographs_are_reconstructed_with_known_errors(tmp_path: Path) 
 
 
 def test_photographs_are_those_that_training_holds_back(tmp_path: Path) -> None:
-    from sfsnet_dr.data.photos import hold_back, list_photos
+    from sfsnet_dr.data.photos import list_photos, split_holdout
 
     folder = write_photographs(tmp_path / "photos", 9)
-    held = {photo.name for photo in hold_back(list_photos(folder)[0], 4)[1]}
-    shots = photographs(open_database("folder", folder), 4).shots
+    held = {photo.name for photo in split_holdout(list_photos(folder)[0], 4)[1]}
+    shots = photograph_samples(open_database("folder", folder), 4).shots
     assert {shot.name for shot in shots} == held
 
 
 def test_of_celeba_the_test_part_is_measured(tmp_path: Path) -> None:
-    collection = collect("celeba", [write_celeba(tmp_path, 7)], Amount())
+    collection = collect_samples("celeba", [write_celeba(tmp_path, 7)], Amount())
     assert {shot.name for shot in collection.shots} == {"000003.jpg", "000006.jpg"}
     assert collection.data == "celeba"
 
@@ -107,20 +111,20 @@ def test_lights_alone_need_no_surface(tmp_path: Path) -> None:
     folder = write_yale_b(tmp_path / "yale", 2)
     (folder / "yaleB02" / "strange.pgm").write_bytes(b"P5")
     (folder / "yaleB02" / yale_name("yaleB02", 15, 0)).write_bytes(b"P5\n168 192\n255\n")
-    collection = collect("lights", [folder], Amount())
-    found = measure(FlatNormals(), collection.shots)
-    records = {r.what: r.value for r in records_of(collection, found, "")}
+    collection = collect_samples("lights", [folder], Amount())
+    found = measure_methods(FlatNormals(), collection.shots)
+    records = {r.what: r.value for r in evaluation_records(collection, found, "")}
     assert records["yale_b.flat.lights64.classes"] == 11  # one light is left with a single subject
     assert "yale_b.flat.lights.top1" not in records  # the 19 are not all there
     assert "yale_b.flat.lights.direction_deg" in records
     assert not any("normals" in what for what in records)
     assert len(collection.skipped) == 2
     with pytest.raises(InputError, match="no lights known"):
-        collect("lights", [write_photographs(tmp_path / "photos")], Amount(database="folder"))
+        collect_samples("lights", [write_photographs(tmp_path / "photos")], Amount(database="folder"))
 
 
 def test_multipie_has_nineteen_lights_of_its_own(tmp_path: Path) -> None:
-    collection = collect("lights", [write_multipie(tmp_path)], Amount(database="multipie"))
+    collection = collect_samples("lights", [write_multipie(tmp_path)], Amount(database="multipie"))
     assert {shot.light for shot in collection.shots} == {"00", "07"}
     assert len(collection.few) == 19
 
@@ -129,11 +133,11 @@ def test_rendered_faces_come_with_all_truth(tmp_path: Path, monkeypatch: pytest.
     lobes = LightSpec(hdr=0, sun_sky=0, studio=0, directional=0, ambient=0, lobes=1)
     monkeypatch.setattr(module, "OPTIONS", replace(module.OPTIONS, light=lobes))
     write_spheres(tmp_path, 5)
-    collection = collect("synthetic", [tmp_path], Amount(most=4))
+    collection = collect_samples("synthetic", [tmp_path], Amount(most=4))
     assert len(collection.shots) == 4
     assert len(collection.subjects) == 2  # two of five are held back
-    found = measure(FlatNormals(), collection.shots)
-    records = {r.what for r in records_of(collection, found, "")}
+    found = measure_methods(FlatNormals(), collection.shots)
+    records = {r.what for r in evaluation_records(collection, found, "")}
     for what in ("normals.mean_deg", "albedo.scaled_rms", "lights.scaled_rms", "lights.direction_deg"):
         assert f"synthetic.flat.{what}" in records
 
@@ -172,14 +176,14 @@ def test_worst_photographs_are_explained_by_what_grows_with_the_error() -> None:
 
         name = "wrong"
 
-        def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Answer:
+        def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Prediction:
             normal = torch.stack([tilted(float(image.mean()) * 100) for image in images])
-            return Answer(normal, images, torch.ones(len(images), 27), images)
+            return Prediction(normal, images, torch.ones(len(images), 27), images)
 
     labels = face("a", 0, [FRONT, SIDE, FAR])
     labels.image[:] = torch.tensor([0.1, 0.2, 0.3])[:, None, None, None]
-    measured = measure(Wrong(), collected(labels).shots)
-    found = extremes(measured.images)
+    measured = measure_methods(Wrong(), collected(labels).shots)
+    found = find_extremes(measured.images)
     assert found is not None
     assert [e.normals.mean for e in found.best + found.worst if e.normals] == pytest.approx(
         [10, 30], abs=0.01
@@ -187,15 +191,15 @@ def test_worst_photographs_are_explained_by_what_grows_with_the_error() -> None:
     (light,) = (cause for cause in found.causes if cause.name == "light (deg)")
     assert light.rank == pytest.approx(1)
     assert light.worst == pytest.approx(78.5, abs=0.1)
-    assert reason(found.worst[0].shot, found.causes) == "light 79 deg"
-    assert len(examples(measured.images, 2)) == 2
-    assert for_transfer(measured.images) == []  # one person cannot exchange anything
+    assert describe_failure(found.worst[0].shot, found.causes) == "light 79 deg"
+    assert len(example_rows(measured.images, 2)) == 2
+    assert samples_for_transfer(measured.images) == []  # one person cannot exchange anything
 
 
 def test_two_people_exchange_their_lights() -> None:
     ways = [[-0.6, 0, 0.8], FRONT, [0.6, 0, 0.8], [0, 0.6, 0.8]]
     collection = collected(face("a", 0, ways), face("b", 10, ways))
-    pairs = for_transfer(measure(Half(), collection.shots).images)
+    pairs = samples_for_transfer(measure_methods(Half(), collection.shots).images)
     assert len(pairs) == 3
     assert [(p.first.light, p.second.light) for p in pairs] == [("l0", "l2"), ("l2", "l1"), ("l3", "l0")]
     for pair in pairs:
@@ -206,11 +210,11 @@ def test_two_people_exchange_their_lights() -> None:
 
 def test_an_answer_that_is_not_finite_is_an_error() -> None:
     class Broken(Half):
-        def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Answer:
+        def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Prediction:
             return super().__call__(images, masks, subjects)._replace(albedo=images * float("nan"))
 
     with pytest.raises(RunError, match="half: its answer for 0 is not finite"):
-        measure(Broken(), collected(face("a", 0, [FRONT])).shots)
+        measure_methods(Broken(), collected(face("a", 0, [FRONT])).shots)
 
 
 def test_folders_are_recognised(tmp_path: Path) -> None:
@@ -220,7 +224,7 @@ def test_folders_are_recognised(tmp_path: Path) -> None:
     write_photographs(tmp_path / "d" / "part")
     write_photographs(tmp_path / "e")
     (tmp_path / "f").mkdir()
-    kinds = [recognise(tmp_path / name) for name in "abcdef"]
+    kinds = [recognise_database(tmp_path / name) for name in "abcdef"]
     assert kinds == ["yale-b", "celeba", "multipie", "folder", "folder", None]
     with pytest.raises(InputError, match="d and e both look like folder"):
         find_data(tmp_path)

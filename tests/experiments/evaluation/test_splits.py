@@ -13,18 +13,18 @@ from helpers.captures import SUBJECTS, write_faces
 
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.data.normal_dataset import IdentitySplit
-from sfsnet_dr.experiments.evaluation.collect import Amount, collect
-from sfsnet_dr.experiments.evaluation.measure import measure
-from sfsnet_dr.experiments.evaluation.methods import Wanted, methods_for
+from sfsnet_dr.experiments.evaluation.collect import Amount, collect_samples
+from sfsnet_dr.experiments.evaluation.measure import measure_methods
+from sfsnet_dr.experiments.evaluation.methods import RequestedMethod, methods_for
 from sfsnet_dr.experiments.evaluation.records import normal_statistics
 from sfsnet_dr.experiments.evaluation.run import evaluate
-from sfsnet_dr.experiments.evaluation.samples import Collection, Shot
+from sfsnet_dr.experiments.evaluation.samples import Collection, EvaluationSample
 from sfsnet_dr.experiments.evaluation.splits import (
     cross_validated,
+    is_heldout,
+    provenance_notes,
     shown_together,
-    strangers,
-    told,
-    unseen,
+    unseen_subjects,
     without_folds,
 )
 from sfsnet_dr.inference.methods import NetworkMethod
@@ -44,38 +44,42 @@ def tuned(folder: Path, learnt: tuple[str, ...], lamps_by: str = "", by_sight: t
 
 def test_nobody_learnt_from_is_left_for_a_fine_tuned_network(tmp_path: Path) -> None:
     shots = [
-        Shot(f"{name}{k}", name, name, torch.zeros(3, 4, 4), torch.zeros(1, 4, 4), np.ones((4, 4)))
+        EvaluationSample(
+            f"{name}{k}", name, name, torch.zeros(3, 4, 4), torch.zeros(1, 4, 4), np.ones((4, 4))
+        )
         for name in SUBJECTS
         for k in range(4)
     ]
     collection = Collection("balls", shots, "")
-    methods, _ = methods_for(shots, Wanted(("flat",), (tuned(tmp_path, SUBJECTS[:4]),)))
+    methods, _ = methods_for(shots, RequestedMethod(("flat",), (tuned(tmp_path, SUBJECTS[:4]),)))
     assert [method.name for method in methods] == ["flat", "ft-fold1of4"]
-    assert unseen(methods[:1], collection) is collection
-    assert unseen(methods, collection).subjects == list(SUBJECTS[4:])
-    [note] = told(methods, collection)
+    assert unseen_subjects(methods[:1], collection) is collection
+    assert unseen_subjects(methods, collection).subjects == list(SUBJECTS[4:])
+    [note] = provenance_notes(methods, collection)
     assert "measured on a5, a6 only: 8 of 24 photographs" in note
     assert "without labels" not in note
-    by_sight, _ = methods_for(shots, Wanted(("flat",), (tuned(tmp_path, SUBJECTS[:4], "", SUBJECTS[5:]),)))
-    [note] = told(by_sight, collection)
+    by_sight, _ = methods_for(
+        shots, RequestedMethod(("flat",), (tuned(tmp_path, SUBJECTS[:4], "", SUBJECTS[5:]),))
+    )
+    [note] = provenance_notes(by_sight, collection)
     assert "It had learnt from pictures of a6 without labels" in note
-    methods, _ = methods_for(shots, Wanted(("flat",), (tuned(tmp_path, SUBJECTS),)))
+    methods, _ = methods_for(shots, RequestedMethod(("flat",), (tuned(tmp_path, SUBJECTS),)))
     with pytest.raises(InputError, match="nobody is left to measure on"):
-        unseen(methods, collection)
+        unseen_subjects(methods, collection)
 
 
 def test_a_network_that_was_told_no_truth_is_measured_on_everybody(tmp_path: Path) -> None:
-    collection = collect("labels", [write_faces(tmp_path / "labels", size=128)], Amount())
+    collection = collect_samples("labels", [write_faces(tmp_path / "labels", size=128)], Amount())
     path = tuned(tmp_path, SUBJECTS[:4], lamps_by="skipnet")
-    methods, _ = methods_for(collection.shots, Wanted(("flat",), (path,)))
+    methods, _ = methods_for(collection.shots, RequestedMethod(("flat",), (path,)))
     assert [method.name for method in methods] == ["flat", "ft"]
-    assert unseen(methods, collection) is collection
-    [note] = told(methods, collection)
+    assert unseen_subjects(methods, collection) is collection
+    [note] = provenance_notes(methods, collection)
     assert "from pictures of 4 of the 6 subjects without being told" in note
     assert "ft-strangers: the same network on a5, a6" in note
-    found = measure(methods[1], collection.shots)
-    assert strangers(methods[0], found) is None
-    apart = strangers(methods[1], found)
+    found = measure_methods(methods[1], collection.shots)
+    assert is_heldout(methods[0], found) is None
+    apart = is_heldout(methods[1], found)
     assert apart is not None
     assert apart.method == "ft-strangers"
     assert {errors.shot.subject for errors in apart.images} == set(SUBJECTS[4:])
@@ -84,13 +88,15 @@ def test_a_network_that_was_told_no_truth_is_measured_on_everybody(tmp_path: Pat
     assert records["balls.ft_strangers.normals.mean_deg"] == pytest.approx(pooled)
     assert records["balls.ft.normals.mean_deg"] != records["balls.ft_strangers.normals.mean_deg"]
     assert "ft-strangers" in (tmp_path / "out" / "index.html").read_text()
-    methods, _ = methods_for(collection.shots, Wanted(("flat",), (tuned(tmp_path, SUBJECTS, "skipnet"),)))
-    assert strangers(methods[1], found) is None
+    methods, _ = methods_for(
+        collection.shots, RequestedMethod(("flat",), (tuned(tmp_path, SUBJECTS, "skipnet"),))
+    )
+    assert is_heldout(methods[1], found) is None
 
 
 def test_all_folds_together_measure_everybody_once(tmp_path: Path) -> None:
     """Each subject by the network that held it back; a page can be written, though nobody is left to all."""
-    collection = collect("labels", [write_faces(tmp_path / "labels", size=128)], Amount())
+    collection = collect_samples("labels", [write_faces(tmp_path / "labels", size=128)], Amount())
     paths = []
     for fold in range(2):
         torch.manual_seed(fold)
@@ -100,10 +106,10 @@ def test_all_folds_together_measure_everybody_once(tmp_path: Path) -> None:
         paths[-1].parent.mkdir()
         recipe = {"data": {"size": 32}}
         save_weights(paths[-1], SfSNet(2, 2, 1), {"recipe": recipe, "surfaces": split.metadata})
-    methods, _ = methods_for(collection.shots, Wanted(("flat",), tuple(paths)))
+    methods, _ = methods_for(collection.shots, RequestedMethod(("flat",), tuple(paths)))
     assert [method.name for method in methods] == ["flat", "ft-fold0of2", "ft-fold1of2"]
     records = {record.what: record.value for record in evaluate(collection, methods, tmp_path / "out", "")}
-    found = [measure(method, unseen([method], collection).shots) for method in methods]
+    found = [measure_methods(method, unseen_subjects([method], collection).shots) for method in methods]
     [whole] = cross_validated(methods, found)
     assert whole.method == "ft-all2folds"
     assert sorted(errors.shot.name for errors in whole.images) == sorted(s.name for s in collection.shots)
@@ -124,8 +130,8 @@ def test_all_folds_together_measure_everybody_once(tmp_path: Path) -> None:
 def test_evaluation_measures_on_held_back_subjects_only(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    collection = collect("labels", [write_faces(tmp_path / "labels", size=128)], Amount())
-    methods, _ = methods_for(collection.shots, Wanted(("flat",), (tuned(tmp_path, SUBJECTS[:4]),)))
+    collection = collect_samples("labels", [write_faces(tmp_path / "labels", size=128)], Amount())
+    methods, _ = methods_for(collection.shots, RequestedMethod(("flat",), (tuned(tmp_path, SUBJECTS[:4]),)))
     asked: list[str] = []
     call = NetworkMethod.__call__
 

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.experiments.pipeline.model_card import card_records, compare, measure_shipped
+from sfsnet_dr.experiments.pipeline.model_card import card_records, compare_with_card, measure_shipped
 from sfsnet_dr.models.inference import load_model
 from sfsnet_dr.models.sfsnet import SfSNet
 from sfsnet_dr.models.shipped import BEST, SHIPPED, weights_name, weights_path
@@ -86,17 +86,17 @@ def test_cards_tell_the_stored_numbers(name: str) -> None:
     assert any(record.what == f"synthetic.normals.mean_deg.{name}" for record in records)
     for record in records:
         assert f"| `{record.what}` | {record.value:.4g} |" in card
-    for comparison in compare(records, records):
+    for comparison in compare_with_card(records, records):
         assert comparison.same
     worse = [replace(record, value=1.05 * record.value, interval=None) for record in records]
-    assert not any(comparison.same for comparison in compare(worse, records))
+    assert not any(comparison.same for comparison in compare_with_card(worse, records))
 
 
 @pytest.mark.slow
 def test_shipped_networks_reproduce_their_cards(tmp_path: Path) -> None:
     records = measure_shipped(SHIPPED, tmp_path, "test")
     card = [record for name in SHIPPED for record in card_records(name)]
-    assert [str(one) for one in compare(records, card) if not one.same or one.card is None] == []
+    assert [str(one) for one in compare_with_card(records, card) if not one.same or one.card is None] == []
 
 
 def test_networks_are_called_by_file_or_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,13 +20,13 @@ from sfsnet_dr.core.visualize import png_bytes
 from sfsnet_dr.data.dataset import load_faces
 from sfsnet_dr.data.photos import PhotoSet
 from sfsnet_dr.data.transforms.background import Augmentation
-from sfsnet_dr.data.transforms.crop import View
+from sfsnet_dr.data.transforms.crop import Crop
 from sfsnet_dr.experiments.pipeline.config import NETWORKS, read_plan
 from sfsnet_dr.experiments.pipeline.holdout_split import (
-    held_batch,
-    on_photographs,
-    on_rendered,
-    reconstruction,
+    holdout_batch,
+    photograph_errors,
+    reconstruction_errors,
+    rendered_errors,
 )
 from sfsnet_dr.experiments.pipeline.run import run_stages
 from sfsnet_dr.metrics.image import mae_8bit, rmse_8bit
@@ -205,13 +205,13 @@ class Oracle(Network):
 
 
 def trained(answer: NetworkOutput) -> LoadedModel:
-    return LoadedModel(Oracle(answer), View(32), "linear", {})
+    return LoadedModel(Oracle(answer), Crop(32), "linear", {})
 
 
 def test_errors_are_those_of_the_answer(data: Path) -> None:
-    truth = held_batch(load_faces(data), Augmentation(lights=4), 4)
+    truth = holdout_batch(load_faces(data), Augmentation(lights=4), 4)
     right = NetworkOutput(truth.normal, truth.albedo, truth.light)
-    numbers = on_rendered(trained(right), truth)
+    numbers = rendered_errors(trained(right), truth)
     for name in ("normals.mean_deg", "albedo.mae", "light.relative"):
         np.testing.assert_allclose(numbers[name], 0, atol=1e-4)
     angle = torch.deg2rad(torch.tensor(25.0))
@@ -219,7 +219,7 @@ def test_errors_are_those_of_the_answer(data: Path) -> None:
     turned = torch.stack([x * angle.cos() + z * angle.sin(), y, z * angle.cos() - x * angle.sin()], 1)
     # Turned about y, a normal moves by 25 degrees times its distance from that axis, at most.
     wrong = NetworkOutput(turned, 0.8 * truth.albedo, 1.5 * truth.light)
-    numbers = on_rendered(trained(wrong), truth)
+    numbers = rendered_errors(trained(wrong), truth)
     assert np.all((numbers["normals.mean_deg"] > 15) & (numbers["normals.mean_deg"] < 25))
     assert np.all(numbers["normals.below30"] == 100)
     inside = truth.mask.sum((1, 2, 3)) * 3
@@ -238,7 +238,7 @@ def test_reconstruction_is_the_metric_of_one_image(values: Any) -> None:
         torch.randn(2, 27, generator=generator),
     )
     image, mask = torch.rand(2, 3, 8, 8, generator=generator), torch.rand(2, 1, 8, 8, generator=generator)
-    found = reconstruction(answer, image, mask, values)
+    found = reconstruction_errors(answer, image, mask, values)
     rendered = f_render(*answer)
     for index in range(2):
         a, b = (part[index].permute(1, 2, 0).double().numpy() for part in (rendered, image))
@@ -263,10 +263,12 @@ def test_display_referred_networks_see_photographs_as_their_files_have_them() ->
     answer.light[:, ::9] = (4 * torch.pi) ** 0.5  # shading 1
     model = Oracle(answer)
     model.register_forward_pre_hook(lambda _m, given: seen.append(given[0]))
-    numbers = on_photographs(LoadedModel(model, View(32), "display", {}), photographs)
+    numbers = photograph_errors(LoadedModel(model, Crop(32), "display", {}), photographs)
     torch.testing.assert_close(seen[0], images.float() / 255)
     np.testing.assert_allclose(numbers["recon.mae"], 0, atol=1e-3)
-    assert (on_photographs(LoadedModel(model, View(32), "linear", {}), photographs)["recon.mae"] > 10).all()
+    assert (
+        photograph_errors(LoadedModel(model, Crop(32), "linear", {}), photographs)["recon.mae"] > 10
+    ).all()
 
 
 @pytest.mark.slow

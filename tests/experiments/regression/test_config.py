@@ -17,8 +17,8 @@ from sfsnet_dr.experiments.regression.config import (
     SceneLights,
     read_spec,
 )
-from sfsnet_dr.experiments.regression.expected import Truth, forgiving
-from sfsnet_dr.metrics.equivalence import Estimate, agree, exact
+from sfsnet_dr.experiments.regression.expected import Expected, allow_known_differences
+from sfsnet_dr.metrics.equivalence import Estimate, check_agreement, exact_estimate
 from sfsnet_dr.render.renderers.base import Capabilities
 from sfsnet_dr.scene.lights.presets import light_set
 from sfsnet_dr.scene.subject import build_subject
@@ -36,10 +36,10 @@ def half(edge: float) -> NDArray[np.float64]:
 
 
 @pytest.fixture(scope="module")
-def truth() -> Truth:
+def truth() -> Expected:
     subject, (light,) = build_subject(SPEC.scene("sphere")), light_set("constant")
-    image = exact(half(16.5))
-    return Truth(
+    image = exact_estimate(half(16.5))
+    return Expected(
         "formula",
         image,
         np.zeros_like(image.mean),
@@ -50,17 +50,17 @@ def truth() -> Truth:
     )
 
 
-def p_of(image: NDArray[np.float64], truth: Truth) -> float:
+def p_of(image: NDArray[np.float64], truth: Expected) -> float:
     noise = np.full_like(image, 1e-8)
-    return agree(Estimate(image, noise), truth.estimate, allowance=truth.allowance).p
+    return check_agreement(Estimate(image, noise), truth.estimate, allowance=truth.allowance).p
 
 
-def test_nothing_known_changes_nothing(truth: Truth) -> None:
-    assert forgiving(truth, []) is truth
+def test_nothing_known_changes_nothing(truth: Expected) -> None:
+    assert allow_known_differences(truth, []) is truth
 
 
-def test_an_edge_may_lie_so_far_off_and_no_farther(truth: Truth) -> None:
-    allowed = forgiving(truth, [EDGE])
+def test_an_edge_may_lie_so_far_off_and_no_farther(truth: Expected) -> None:
+    allowed = allow_known_differences(truth, [EDGE])
     assert p_of(half(16.59), truth) < 1e-9
     assert p_of(half(16.59), allowed) > 0.1
     assert p_of(half(16.61), allowed) < 1e-9
@@ -68,8 +68,8 @@ def test_an_edge_may_lie_so_far_off_and_no_farther(truth: Truth) -> None:
     assert "allowed: contours 0.1 pixels apart (rays start elsewhere)" in allowed.words
 
 
-def test_a_part_of_each_pixel_is_allowed(truth: Truth) -> None:
-    allowed = forgiving(truth, [PART])
+def test_a_part_of_each_pixel_is_allowed(truth: Expected) -> None:
+    allowed = allow_known_differences(truth, [PART])
     assert p_of(1.019 * half(16.5), truth) < 1e-9
     assert p_of(1.019 * half(16.5), allowed) > 0.1
     assert p_of(1.021 * half(16.5), allowed) < 1e-9

@@ -19,13 +19,18 @@ from sfsnet_dr.experiments.regression.config import (
     REFERENCES,
     RegressSpec,
     SceneLights,
-    chosen,
+    choose_pairs,
     read_spec,
 )
-from sfsnet_dr.experiments.regression.diagnose import diagnose
-from sfsnet_dr.experiments.regression.expected import Truths
-from sfsnet_dr.experiments.regression.fault_injection import DEFECTS, Planted
-from sfsnet_dr.experiments.regression.matrix import compare, models, run_matrix, subjects
+from sfsnet_dr.experiments.regression.diagnose import diagnose_difference
+from sfsnet_dr.experiments.regression.expected import ExpectedImages
+from sfsnet_dr.experiments.regression.fault_injection import DEFECTS, InjectedFault
+from sfsnet_dr.experiments.regression.matrix import (
+    compare_pair,
+    load_subjects,
+    models_of_renderers,
+    run_matrix,
+)
 from sfsnet_dr.experiments.regression.references import References, light_hash, make_references, scene_hash
 from sfsnet_dr.render.renderers.registry import find_renderer
 from sfsnet_dr.scene.spec import SamplingSpec
@@ -48,7 +53,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """References of the small matrix."""
     made = tmp_path_factory.mktemp("references")
     stored = replace(SMALL, scenes=GROUND[1:])
-    make_references(SMALL, made, subjects(stored), lambda subject: models(RENDERERS, subject))
+    make_references(
+        SMALL, made, load_subjects(stored), lambda subject: models_of_renderers(RENDERERS, subject)
+    )
     return made
 
 
@@ -73,7 +80,7 @@ def test_renderers_agree_with_what_they_should_show(folder: Path) -> None:
 
 @pytest.mark.slow
 def test_every_planted_defect_is_seen(folder: Path) -> None:
-    found = fault_injection.plant_all(SMALL, References(folder), 100, ground=GROUND, search=False)
+    found = fault_injection.inject_faults(SMALL, References(folder), 100, ground=GROUND, search=False)
     assert {item.defect.kind for item in found} == {
         "albedo", "light_direction", "swapped_axis", "half_pixel", "missing_cosine", "srgb_twice", "order",
     }  # fmt: skip
@@ -94,14 +101,18 @@ def test_a_defect_of_one_percent_is_seen_and_named(folder: Path) -> None:
     """The quick part of the above: a path tracer and a shading model whose albedo is 1 % too bright."""
     [defect] = [defect for defect in DEFECTS if defect.kind == "albedo"]
     library = References(folder)
-    for (subject, [light]), name in itertools.product(subjects(SMALL), ("drjit-order4", "mitsuba-llvm-path")):
-        spoiled = Planted(find_renderer(name), defect, defect.size)
-        row = compare(name, fault_injection.direct(spoiled), Truths(subject, light, library), SMALL)
+    for (subject, [light]), name in itertools.product(
+        load_subjects(SMALL), ("drjit-order4", "mitsuba-llvm-path")
+    ):
+        spoiled = InjectedFault(find_renderer(name), defect, defect.size)
+        row = compare_pair(
+            name, fault_injection.direct_image(spoiled), ExpectedImages(subject, light, library), SMALL
+        )
         assert row.p < 1e-4, (name, subject.spec.name)
         if name == "drjit-order4":
             assert row.image is not None
             assert row.truth is not None
-            assert "brightness x +1.0" in diagnose(row.image, row.truth).words
+            assert "brightness x +1.0" in diagnose_difference(row.image, row.truth).words
 
 
 def test_a_failing_pair_ends_with_1_and_leaves_its_evidence(
@@ -158,13 +169,13 @@ def test_what_does_not_fit_is_refused_in_one_line(
 
 
 def test_a_light_is_known_by_its_numbers() -> None:
-    (_, [light]) = next(iter(subjects(replace(SMALL, scenes=GROUND[:1]))))
+    (_, [light]) = next(iter(load_subjects(replace(SMALL, scenes=GROUND[:1]))))
     assert light_hash(light) == light_hash(light.scaled(1 + 1e-12))
     assert light_hash(light) != light_hash(light.turned(np.diag([-1.0, -1.0, 1.0])))
 
 
 def test_a_scene_is_known_by_what_its_file_says() -> None:
-    [(subject, _)] = subjects(replace(SMALL, scenes=GROUND[:1]))
+    [(subject, _)] = load_subjects(replace(SMALL, scenes=GROUND[:1]))
     same = replace(subject, spec=replace(subject.spec, sampling=SamplingSpec(reference=2)))
     assert scene_hash(subject) == scene_hash(same)
     for other in (
@@ -177,9 +188,9 @@ def test_a_scene_is_known_by_what_its_file_says() -> None:
 
 def test_the_matrix_of_the_repository_is_sound() -> None:
     spec = read_spec(CONFIG)
-    assert chosen(spec, "sphere", None, None).scenes[0].scene == "sphere"
+    assert choose_pairs(spec, "sphere", None, None).scenes[0].scene == "sphere"
     with pytest.raises(InputError, match="scene 'spher'"):
-        chosen(spec, "spher", None, None)
+        choose_pairs(spec, "spher", None, None)
 
 
 @pytest.mark.regress

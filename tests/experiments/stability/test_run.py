@@ -13,10 +13,10 @@ from torch import Tensor
 
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.experiments.stability import child, isolated, run
-from sfsnet_dr.experiments.stability.backends import FORMS, STRICT_FORMS, Form, Inputs, form_named
+from sfsnet_dr.experiments.stability.backends import FORMS, STRICT_FORMS, ComputeBackend, Inputs, find_backend
 from sfsnet_dr.experiments.stability.cases import Case
-from sfsnet_dr.experiments.stability.compare import DTYPES, judge
-from sfsnet_dr.experiments.stability.isolated import concerned, run_isolated
+from sfsnet_dr.experiments.stability.compare import DTYPES, compare_with_expected
+from sfsnet_dr.experiments.stability.isolated import cases_in_subprocess, run_in_subprocess
 from sfsnet_dr.experiments.stability.process_case import Finding, ProcessCase
 from sfsnet_dr.report.record import read_records
 
@@ -25,23 +25,23 @@ CASES = {f"{case.group}: {case.name}": case for case in run.NUMBER_CASES}
 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 def test_every_form_passes_in_float32(case: Case) -> None:
-    outcomes = [judge(form, case, "float32") for form in FORMS]
+    outcomes = [compare_with_expected(form, case, "float32") for form in FORMS]
     assert [o.problem for o in outcomes if o.problem] == []
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 def test_every_form_passes(case: Case) -> None:
-    outcomes = [judge(form, case, dtype) for form in FORMS for dtype in DTYPES]
-    outcomes += [judge(form, case, "float32") for form in STRICT_FORMS]
+    outcomes = [compare_with_expected(form, case, dtype) for form in FORMS for dtype in DTYPES]
+    outcomes += [compare_with_expected(form, case, "float32") for form in STRICT_FORMS]
     assert [o.problem for o in outcomes if o.problem] == []
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", child.PROCESS_CASES, ids=lambda case: case.name)
 def test_every_form_passes_in_processes(case: ProcessCase) -> None:
-    findings = run_isolated(case)
-    assert set(findings) == {form.name for form in concerned(case)}
+    findings = run_in_subprocess(case)
+    assert set(findings) == {form.name for form in cases_in_subprocess(case)}
     assert [f.problem for f in findings.values() if f.problem] == []
 
 
@@ -50,27 +50,27 @@ def test_names_tell_cases_apart() -> None:
     assert len({case.name for case in child.PROCESS_CASES}) == len(child.PROCESS_CASES)
 
 
-def _planted(change: Callable[[Inputs, Tensor], Tensor], of: str = "torch") -> Form:
+def _planted(change: Callable[[Inputs, Tensor], Tensor], of: str = "torch") -> ComputeBackend:
     """A form whose result is changed."""
-    good = form_named(of)
-    return Form("wrong", good.kind, lambda inputs: change(inputs, good.call(inputs)))
+    good = find_backend(of)
+    return ComputeBackend("wrong", good.kind, lambda inputs: change(inputs, good.call(inputs)))
 
 
 def _squared_too_soon(inputs: Inputs, image: Tensor) -> Tensor:
     """Normalises without care for long normals."""
     direction = inputs.normal / (inputs.normal.square().sum(1, keepdim=True)).sqrt().clamp_min(1e-6)
-    return form_named("torch").call(inputs._replace(normal=direction))
+    return find_backend("torch").call(inputs._replace(normal=direction))
 
 
 def _kinked(inputs: Inputs, loss: Tensor) -> Tensor:
     """The slope of |x| at 0 is 1."""
-    difference = inputs.image.detach() - form_named("torch").call(inputs)
+    difference = inputs.image.detach() - find_backend("torch").call(inputs)
     absolute = torch.where(difference >= 0, difference, -difference)
     mask = inputs.mask.detach()
     return (mask * absolute).sum() / (3 * mask.sum()).clamp_min(1)
 
 
-def _drifting() -> Form:
+def _drifting() -> ComputeBackend:
     """Gives a little more with every call."""
     calls = iter(range(1, 1000))
     return _planted(lambda _, image: image * (1 + 1e-6 * next(calls)))
@@ -92,7 +92,7 @@ PLANTED = {
     "other bits": (_drifting(), "Shape and mask: 17 images of 1 x 3"),
     "wrong shape": (_planted(lambda _, image: image[:1]), "Memory: one light for a batch"),
     "takes nothing": (
-        Form("wrong", "render", lambda i: (i.albedo * i.normal).sum(1, keepdim=True)),
+        ComputeBackend("wrong", "render", lambda i: (i.albedo * i.normal).sum(1, keepdim=True)),
         "Shape and mask: empty batch",
     ),
     "raises": (_planted(lambda *_: [][0]), "Light and albedo: light 0"),
@@ -102,8 +102,8 @@ PLANTED = {
 @pytest.mark.parametrize("fault", PLANTED)
 def test_a_planted_fault_is_caught(fault: str) -> None:
     form, name = PLANTED[fault]
-    assert judge(form, CASES[name], "float32").problem
-    assert not judge(form_named("torch"), CASES[name], "float32").problem
+    assert compare_with_expected(form, CASES[name], "float32").problem
+    assert not compare_with_expected(find_backend("torch"), CASES[name], "float32").problem
 
 
 def test_a_crash_is_one_failed_cell(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -129,11 +129,11 @@ for name in sys.argv[2:]:
     print(json.dumps({{"figure": 1}}), flush=True)
 """
     monkeypatch.setattr(isolated, "CHILD", ("-c", code))
-    return run_isolated(ProcessCase("planted", "", "", lambda _: Finding(1), alone=True, limit=1))
+    return run_in_subprocess(ProcessCase("planted", "", "", lambda _: Finding(1), alone=True, limit=1))
 
 
 def test_the_command_writes_records_table_and_page(tmp_path: Path) -> None:
-    found, records = run.stability(tmp_path, "axes and the poles")
+    found, records = run.run_stability(tmp_path, "axes and the poles")
     assert found.cases == 1
     assert found.checks == len(FORMS) * len(DTYPES) + len(STRICT_FORMS)
     assert found.failures() == []
@@ -163,21 +163,21 @@ def test_a_failure_is_told(
 
 def test_unknown_case_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"--only 'moon': no case holds this text; groups are: Kinks"):
-        run.stability(tmp_path, "moon")
+        run.run_stability(tmp_path, "moon")
 
 
 def test_truth_by_finite_differences() -> None:
     """The oracle's own gradients, which the forms are judged by."""
-    from sfsnet_dr.experiments.stability.cases import ordinary
-    from sfsnet_dr.experiments.stability.expected import Array, Truth, loss_truth
+    from sfsnet_dr.experiments.stability.cases import default_case
+    from sfsnet_dr.experiments.stability.expected import Array, ExpectedResult, expected_loss
 
-    leaves = ordinary(np.random.default_rng(1), 1, 3, 2)
+    leaves = default_case(np.random.default_rng(1), 1, 3, 2)
     leaves["normal"] *= 0.7
     names, step = ("normal", "albedo", "light", "image", "mask"), 1e-6
 
-    def truth(changed: dict[str, Array]) -> Truth:
+    def truth(changed: dict[str, Array]) -> ExpectedResult:
         normal, albedo, light, image, mask = (changed[n] for n in names)
-        return loss_truth(normal, albedo, light, image, mask)
+        return expected_loss(normal, albedo, light, image, mask)
 
     exact = truth(leaves).grads
     for name, gradient in zip(names, exact, strict=False):

@@ -14,18 +14,25 @@ import pytest
 from sfsnet_dr.cli.main import main
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.experiments.demo.run import run_demo
-from sfsnet_dr.experiments.validation.measure import climb
-from sfsnet_dr.experiments.validation.page import section, write_study_page
+from sfsnet_dr.experiments.validation.measure import measure_models
+from sfsnet_dr.experiments.validation.page import scene_section, write_study_page
 from sfsnet_dr.experiments.validation.records import study_records, to_csv
 from sfsnet_dr.experiments.validation.renderers import chosen_renderers
-from sfsnet_dr.experiments.validation.run import Request, measure, validate
-from sfsnet_dr.experiments.validation.summary import Study, candidates, cheapest, duration, pooled, sentence
+from sfsnet_dr.experiments.validation.run import Request, measure_scene, validate
+from sfsnet_dr.experiments.validation.summary import (
+    Study,
+    all_candidates,
+    cheapest_model,
+    format_duration,
+    pooled_error,
+    summary_sentence,
+)
 from sfsnet_dr.metrics.image import has_flip
 from sfsnet_dr.report.record import read_records
 from sfsnet_dr.scene.lights.equirect import MAP_SIZE
 from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.lights.presets import light_set
-from sfsnet_dr.scene.mesh import moved
+from sfsnet_dr.scene.mesh import move_mesh
 from sfsnet_dr.scene.spec import CameraSpec, SamplingSpec, SceneSpec
 from sfsnet_dr.scene.subject import Subject, build_subject
 
@@ -40,7 +47,9 @@ def subject_of(shape: str, **more: object) -> Subject:
 
 @pytest.fixture(scope="module")
 def study() -> Study:
-    return measure(subject_of("sphere"), light_set(LIGHTS), ["drjit-order2", "mitsuba-llvm-path"], cold=False)
+    return measure_scene(
+        subject_of("sphere"), light_set(LIGHTS), ["drjit-order2", "mitsuba-llvm-path"], cold=False
+    )
 
 
 def expected_error(order: int, angle: float) -> float:
@@ -68,7 +77,7 @@ def test_errors_under_a_lamp_on_a_sphere_are_the_closed_forms(study: Study, orde
 
 
 def test_natural_errors_fall_with_the_order_and_shadows_help_no_convex_body(study: Study) -> None:
-    errors = {rung.key: pooled(study, rung.key, study.natural).error for rung in study.rungs}
+    errors = {rung.key: pooled_error(study, rung.key, study.natural).error for rung in study.rungs}
     assert errors["order0"] > 3 * errors["order1"] > 9 * errors["order2"]
     assert errors["order2"] < 0.02
     assert errors["order2_visibility"] == pytest.approx(errors["order2"], abs=0.005)
@@ -76,8 +85,8 @@ def test_natural_errors_fall_with_the_order_and_shadows_help_no_convex_body(stud
 
 def test_a_cast_shadow_and_a_bounce_are_seen_where_they_are() -> None:
     lights = light_set("directional30,constant")
-    spheres = climb(subject_of("two_spheres"), lights).results
-    bowl = climb(subject_of("bowl", albedo=(0.7, 0.7, 0.7)), lights).results
+    spheres = measure_models(subject_of("two_spheres"), lights).results
+    bowl = measure_models(subject_of("bowl", albedo=(0.7, 0.7, 0.7)), lights).results
     shadow = spheres[1].row("order4").parts
     assert shadow["visibility"].size > 0.2
     assert shadow["visibility"].share > 0.5
@@ -133,17 +142,17 @@ def test_times_are_taken_apart(study: Study) -> None:
 
 
 def test_the_sentence_names_the_cheapest_within_the_tolerance(study: Study) -> None:
-    quick = cheapest(study, 0.08)
+    quick = cheapest_model(study, 0.08)
     assert quick is not None
     assert quick.error <= 0.08
-    assert all(c.error > 0.08 for c in candidates(study) if c.seconds < quick.seconds)
-    assert "No model stays within 1e-06 %" in sentence(study, 1e-8)
-    assert f"under all 4 lights is {quick.name}: " in sentence(study, 0.08)
+    assert all(c.error > 0.08 for c in all_candidates(study) if c.seconds < quick.seconds)
+    assert "No model stays within 1e-06 %" in summary_sentence(study, 1e-8)
+    assert f"under all 4 lights is {quick.name}: " in summary_sentence(study, 0.08)
 
 
 @pytest.mark.parametrize(("seconds", "text"), [(1.234, "1.2 s"), (0.0321, "32 ms"), (2.4e-4, "240 \u00b5s")])
 def test_durations_have_two_digits(seconds: float, text: str) -> None:
-    assert duration(seconds) == text
+    assert format_duration(seconds) == text
 
 
 def test_the_page_is_self_contained_and_shows_every_model(study: Study, tmp_path: Path) -> None:
@@ -154,7 +163,7 @@ def test_the_page_is_self_contained_and_shows_every_model(study: Study, tmp_path
     assert 'src="http' not in page
     assert all(rung.name in page for rung in study.rungs)
     assert "flip-evaluator" in page or has_flip()
-    assert section(study, 0.05).heading == "The scene ball"  # as the demo's page shows it
+    assert scene_section(study, 0.05).heading == "The scene ball"  # as the demo's page shows it
 
 
 @pytest.mark.slow  # compiles everything anew in another process
@@ -195,13 +204,13 @@ def test_wrong_requests_are_answered_before_any_work(tmp_path: Path, request_: R
 
 def test_nothing_in_view_and_no_light_are_answered() -> None:
     ball = subject_of("sphere")
-    away = Subject(ball.spec, 0, moved(ball.mesh, (9.0, 0.0, 0.0)), ball.camera)
+    away = Subject(ball.spec, 0, move_mesh(ball.mesh, (9.0, 0.0, 0.0)), ball.camera)
     with pytest.raises(InputError, match="ball: no surface in view"):
-        climb(away, light_set("constant"))
+        measure_models(away, light_set("constant"))
     with pytest.raises(InputError, match="light 'night': all zeros"):
-        climb(ball, [Light("night", np.zeros((*MAP_SIZE, 3)))])
+        measure_models(ball, [Light("night", np.zeros((*MAP_SIZE, 3)))])
     with pytest.raises(InputError, match="lights: none found"):
-        climb(ball, [])
+        measure_models(ball, [])
     assert chosen_renderers("none") == ()
 
 

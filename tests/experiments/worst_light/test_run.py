@@ -14,25 +14,31 @@ from numpy.typing import NDArray
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.experiments.worst_light.page import worst_light, worst_light_records
 from sfsnet_dr.experiments.worst_light.responses import (
-    Answers,
     Effort,
-    Forms,
+    PreparedResponses,
     Prior,
-    basis_answers,
-    directional_answers,
+    Responses,
+    basis_responses,
+    directional_responses,
     draw_prior,
-    gathered,
+    gather_responses,
     nearest_direction,
     prior_errors,
-    target,
+    select_target,
 )
-from sfsnet_dr.experiments.worst_light.run import DIMMEST, WorstLight, directional_errors, steps, study
+from sfsnet_dr.experiments.worst_light.run import (
+    DIMMEST,
+    WorstLight,
+    directional_errors,
+    study_steps,
+    study_worst_light,
+)
 from sfsnet_dr.experiments.worst_light.search import relative_errors, worst_signed
 from sfsnet_dr.metrics.noise_free import bias_squared, relative_rmse
 from sfsnet_dr.report.record import read_records
 from sfsnet_dr.scene.lights.equirect import MAP_SIZE
 from sfsnet_dr.scene.lights.light import Light
-from sfsnet_dr.scene.mesh import sphere
+from sfsnet_dr.scene.mesh import sphere_mesh
 from sfsnet_dr.scene.spec import CameraSpec, SamplingSpec, SceneSpec
 from sfsnet_dr.scene.subject import Subject
 from sfsnet_dr.sh.basis import sh_basis
@@ -50,16 +56,16 @@ def subject_of(gloss: bool) -> Subject:
 
 
 @cache
-def answers(seed: int, gloss: bool = False) -> Answers:
-    return basis_answers(target(subject_of(gloss), TINY), seed)
+def answers(seed: int, gloss: bool = False) -> Responses:
+    return basis_responses(select_target(subject_of(gloss), TINY), seed)
 
 
 @cache
 def studied(gloss: bool) -> WorstLight:
-    return study(subject_of(gloss), TINY, lights=40)
+    return study_worst_light(subject_of(gloss), TINY, lights=40)
 
 
-def quotient(images: Answers, lights: Array, order: int) -> Array:
+def quotient(images: Responses, lights: Array, order: int) -> Array:
     """Relative errors (L,) in red by the images themselves, light by light."""
     found = []
     for light in lights:
@@ -116,20 +122,20 @@ def test_the_path_tracer_reproduces_the_errors(gloss: bool) -> None:
 def test_directional_lights_add_up_to_the_basis_lights() -> None:
     """Two captures that trace other rays: sums over 642 directions are integrals over the sphere."""
     effort = Effort(size=12, lamp_samples=32, level=3)
-    of = target(subject_of(gloss=False), effort)
-    hard = directional_answers(of, icosphere(3), 0).forms()
+    of = select_target(subject_of(gloss=False), effort)
+    hard = directional_responses(of, icosphere(3), 0).forms()
     weights = sh_basis(icosphere(3), 4) * icosphere_solid_angles(3)[:, None]
     summed = np.einsum("nk,cnm,mj->ckj", weights, hard.truth, weights, optimize=True)
-    direct = basis_answers(of, 1).forms().truth
+    direct = basis_responses(of, 1).forms().truth
     # Noise of 100 pixels: 1.6 % of the largest value seen, times 2; at 48 x 48 pixels it was .3 %.
     assert np.abs(summed - direct).max() < 0.03 * np.abs(direct).max()
 
 
 def test_errors_on_a_ball_are_those_in_closed_form() -> None:
     """Convex: the image is albedo / pi mu+, with mu = n . d, the model's 1/4 + mu/2 + 5/32 (3 mu^2 - 1)."""
-    ball = Subject(SceneSpec("ball", "sphere"), 0, sphere(), CameraSpec())
+    ball = Subject(SceneSpec("ball", "sphere"), 0, sphere_mesh(), CameraSpec())
     directions = icosphere(1)
-    images = directional_answers(target(ball, Effort(size=48, lamp_samples=32)), directions, 0)
+    images = directional_responses(select_target(ball, Effort(size=48, lamp_samples=32)), directions, 0)
     found = directional_errors(images.forms(), directions, 2)
     place = (np.arange(480) + 0.5) / 240 - 1
     x, y = np.meshgrid(place, -place)
@@ -151,7 +157,7 @@ def test_errors_on_a_ball_are_those_in_closed_form() -> None:
 
 def test_errors_under_mixtures_are_those_of_the_mixed_images() -> None:
     directions = icosphere(1)
-    images = directional_answers(target(subject_of(gloss=True), TINY), directions, 0)
+    images = directional_responses(select_target(subject_of(gloss=True), TINY), directions, 0)
     weights = np.random.default_rng(0).uniform(size=(2, len(directions), 3))
     errors = prior_errors(images.forms(), Prior(("a", "b"), weights), 2)
     for light, error in zip(weights, errors, strict=True):
@@ -168,7 +174,7 @@ def test_lights_are_gathered_whole() -> None:
     nearest = nearest_direction(equirect_directions(*MAP_SIZE), directions)
     sky = np.ones((*MAP_SIZE, 3)) * [1.0, 2.0, 3.0]
     lamp = (directions[5], np.array([7.0, 0.0, 1.0]))
-    weights = gathered(Light("both", sky, (lamp,)), directions, nearest)
+    weights = gather_responses(Light("both", sky, (lamp,)), directions, nearest)
     np.testing.assert_allclose(weights.sum(axis=0), 4 * np.pi * np.array([1.0, 2.0, 3.0]) + lamp[1])
     assert weights[5, 0] - weights[6, 0] > 6.9
     prior = draw_prior(directions, 30, 0)
@@ -183,8 +189,8 @@ def test_a_model_without_error_has_none() -> None:
     """The forms of a model that is the truth: everything cancels, whatever the light."""
     rng = np.random.default_rng(0)
     model = rng.normal(size=(3, 25, 50))
-    exact = Answers(model, model, model, np.eye(25), np.ones((5, 10), dtype=bool)).forms()
-    assert isinstance(exact, Forms)
+    exact = Responses(model, model, model, np.eye(25), np.ones((5, 10), dtype=bool)).forms()
+    assert isinstance(exact, PreparedResponses)
     assert np.abs(exact.error(4)).max() < 1e-12
     assert np.abs(exact.error(2)[:, :9, :9]).max() < 1e-12
     np.testing.assert_allclose(exact.error(2)[:, 9:, 9:], exact.truth[:, 9:, 9:])
@@ -192,7 +198,7 @@ def test_a_model_without_error_has_none() -> None:
 
 def test_the_command_writes_records_a_table_and_a_page(tmp_path: Path) -> None:
     effort = Effort(size=20, samples=16, level=1)
-    assert steps(effort) == 9
+    assert study_steps(effort) == 9
     records = worst_light("two_spheres", tmp_path, effort, lights=20)
     names = {record.what: record for record in read_records(tmp_path / "records.json")}
     for what in ("signed", "directional", "prior.mean", "prior.p95", "order4.signed"):

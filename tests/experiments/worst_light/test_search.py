@@ -9,7 +9,7 @@ from scipy.optimize import minimize
 
 from sfsnet_dr.experiments.worst_light.search import (
     relative_errors,
-    squares,
+    squared_error_matrix,
     worst_non_negative,
     worst_signed,
 )
@@ -88,7 +88,7 @@ def test_squares_are_products_of_the_basis() -> None:
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     half = sh_basis(directions, 2)
     products = np.einsum("di,dj->dij", half, half)
-    found = np.einsum("dk,kij->dij", sh_basis(directions, 4), squares(4))
+    found = np.einsum("dk,kij->dij", sh_basis(directions, 4), squared_error_matrix(4))
     np.testing.assert_allclose(found, products, atol=1e-13)
 
 
@@ -101,10 +101,10 @@ def test_lights_without_negative_parts_have_none_and_are_less_bad() -> None:
     # No square of an expansion of order 2 is worse, but for the last of the climb: 1.5e-4 seen, times 5.
     rng = np.random.default_rng(1)
     roots = rng.normal(size=(20_000, 9)) * 3.0 ** rng.normal(size=(20_000, 9))
-    lights = np.einsum("kij,ni,nj->nk", squares(4), roots, roots, optimize=True)
+    lights = np.einsum("kij,ni,nj->nk", squared_error_matrix(4), roots, roots, optimize=True)
     assert relative_errors(lights, error, truth, 0.05).max() <= found.error * 1.001
     # On a ball the worst may be taken about an axis: squares (a + b z + c z^2)^2 come close to it.
     zonal = rng.normal(size=(20_000, 3)) @ np.eye(9)[[0, 1, 4]]
-    lights = np.einsum("kij,ni,nj->nk", squares(4), zonal, zonal, optimize=True)
+    lights = np.einsum("kij,ni,nj->nk", squared_error_matrix(4), zonal, zonal, optimize=True)
     best = relative_errors(lights, error, truth, 0.05).max()
     assert 0.97 * found.error < best <= found.error * 1.001

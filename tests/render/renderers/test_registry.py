@@ -13,7 +13,7 @@ from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.render.renderers.base import Budget, Image
 from sfsnet_dr.render.renderers.registry import find_renderer, is_built_in, renderers
 from sfsnet_dr.render.renderers.sh import surface_maps
-from sfsnet_dr.scene.lights.light import Light, heading
+from sfsnet_dr.scene.lights.light import Light, direction_from_angles
 from sfsnet_dr.scene.spec import CameraSpec, HeadSpec, SamplingSpec, SceneSpec
 from sfsnet_dr.scene.subject import Subject, build_subject
 from sfsnet_dr.sh.kernel import clamped_cosine
@@ -42,7 +42,11 @@ def head() -> Subject:
 def sunny() -> Light:
     """A sky that is bluer above, and a sun from the upper right."""
     up = equirect_directions(64, 128)[..., 1:2]
-    return Light("sunny", 0.3 + 0.2 * up * [0.5, 0.8, 1.0], ((heading(35, 40), np.array([2.0, 1.8, 1.4])),))
+    return Light(
+        "sunny",
+        0.3 + 0.2 * up * [0.5, 0.8, 1.0],
+        ((direction_from_angles(35, 40), np.array([2.0, 1.8, 1.4])),),
+    )
 
 
 def render(name: str, subject: Subject, light: Light, budget: Budget = BUDGET) -> Image:
@@ -71,7 +75,7 @@ def test_both_forms_of_transport_agree(order: int, kind: str, head: Subject) -> 
 
 def test_shading_of_a_directional_light_is_the_truncated_cosine(sphere: Subject) -> None:
     # sum_l (2 l + 1) / 4 pi A_l P_l(cos) E albedo / pi, by the addition theorem; not from our basis.
-    toward, power = heading(20, 30), np.array([1.0, 2.0, 3.0])
+    toward, power = direction_from_angles(20, 30), np.array([1.0, 2.0, 3.0])
     maps = surface_maps(sphere)
     cosine = np.tensordot(toward, maps.normal[0], axes=1)
     for order in range(5):

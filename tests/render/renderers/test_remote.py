@@ -11,12 +11,12 @@ from helpers.bowls import bowl_and_ball
 from numpy.typing import NDArray
 
 from sfsnet_dr.core.errors import InputError, NotInstalled
-from sfsnet_dr.metrics.equivalence import Estimate, agree, from_seeds
+from sfsnet_dr.metrics.equivalence import Estimate, check_agreement, estimate_from_seeds
 from sfsnet_dr.render.renderers.base import Budget
 from sfsnet_dr.render.renderers.registry import find_renderer
 from sfsnet_dr.render.renderers.remote import cycles_python
-from sfsnet_dr.scene.lights.light import Light, heading
-from sfsnet_dr.scene.mesh import sphere
+from sfsnet_dr.scene.lights.light import Light, direction_from_angles
+from sfsnet_dr.scene.mesh import sphere_mesh
 from sfsnet_dr.scene.spec import CameraSpec, SceneSpec
 from sfsnet_dr.scene.subject import Subject
 from sfsnet_dr.sh.projection import equirect_directions
@@ -51,19 +51,24 @@ def hollow() -> Subject:
 
 def oblique_sky(tint: tuple[float, float, float] = (1.0, 0.8, 0.5)) -> Light:
     """A bright spot on a dim sky, off every axis, and high enough that the map's rows matter."""
-    spot = np.maximum(equirect_directions(64, 128) @ heading(50, 40), 0)[..., None] ** 8
+    spot = np.maximum(equirect_directions(64, 128) @ direction_from_angles(50, 40), 0)[..., None] ** 8
     return Light("oblique", (0.2 + 2.0 * spot) * np.array(tint))
 
 
 def all_at_once() -> Light:
     """The sky and two suns of two colours, from three sides."""
-    lamps = ((heading(40, 30), np.array([2.0, 1.5, 1.0])), (heading(-60, -10), np.array([0.2, 0.5, 0.9])))
+    lamps = (
+        (direction_from_angles(40, 30), np.array([2.0, 1.5, 1.0])),
+        (direction_from_angles(-60, -10), np.array([0.2, 0.5, 0.9])),
+    )
     return Light("all", oblique_sky().environment, lamps)
 
 
 def estimate(name: str, light: Light, samples: int, subject: Subject | None = None) -> Estimate:
     renderer, where = find_renderer(name), subject or hollow()
-    return from_seeds([renderer.render(where, light, Budget(samples, seed)) for seed in range(SEEDS)])
+    return estimate_from_seeds(
+        [renderer.render(where, light, Budget(samples, seed)) for seed in range(SEEDS)]
+    )
 
 
 @cache
@@ -78,7 +83,7 @@ def here(depth: str) -> Estimate:
     [pytest.param("direct", marks=pytest.mark.slow), pytest.param("bounce", marks=pytest.mark.slow), "path"],
 )
 def test_it_agrees_with_the_path_tracer_here(tracer: str, samples: int, depth: str) -> None:
-    found = agree(estimate(f"{tracer}-{depth}", all_at_once(), samples), here(depth))
+    found = check_agreement(estimate(f"{tracer}-{depth}", all_at_once(), samples), here(depth))
     assert found.p > LEVEL, found.worst
 
 
@@ -94,17 +99,17 @@ def test_small_defects_would_be_seen(tracer: str, samples: int) -> None:
         estimate(f"{tracer}-bounce", light, samples),
         estimate(f"{tracer}-path", turned, samples),
     ):
-        assert agree(defect, here("path")).p < LEVEL
+        assert check_agreement(defect, here("path")).p < LEVEL
 
 
 @CYCLES
 def test_cycles_agrees_where_shading_normals_face_away_from_the_viewer() -> None:
     """A ball whose normals are pulled back: its rim faces away, and Cycles by itself shades it too."""
     ball = hollow()
-    tilted = sphere().normals + np.array([0.0, 0.0, -0.6])
+    tilted = sphere_mesh().normals + np.array([0.0, 0.0, -0.6])
     tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
-    ball = replace(ball, mesh=replace(sphere(), normals=tilted))
-    light = Light("right", None, ((heading(60, 0), np.ones(3)),))
+    ball = replace(ball, mesh=replace(sphere_mesh(), normals=tilted))
+    light = Light("right", None, ((direction_from_angles(60, 0), np.ones(3)),))
     names = ("cycles-direct", "mitsuba-llvm-direct")
     ours, theirs = (find_renderer(name).render(ball, light, Budget(256, 0)) for name in names)
     assert (theirs[10:14, 21:23] == 0).all()  # the rim at the right, towards the light

@@ -18,7 +18,7 @@ from sfsnet_dr.render.renderers.remote import (
     write_light,
     write_subject,
 )
-from sfsnet_dr.scene.lights.light import Light, heading
+from sfsnet_dr.scene.lights.light import Light, direction_from_angles
 from sfsnet_dr.scene.mesh import Mesh
 from sfsnet_dr.scene.spec import CameraSpec, HeadSpec, SceneSpec
 from sfsnet_dr.scene.subject import Subject, build_subject
@@ -45,7 +45,7 @@ def test_a_subject_comes_back_as_it_was(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("sky", "lamps"), [(True, 0), (True, 2), (False, 2)])
 def test_a_light_comes_back_as_it_was(sky: bool, lamps: int, tmp_path: Path) -> None:
     environment = np.random.default_rng(0).random((64, 128, 3)) if sky else None
-    suns = tuple((heading(20.0 * k, 10.0), np.array([1.0, 0.1, k])) for k in range(lamps))
+    suns = tuple((direction_from_angles(20.0 * k, 10.0), np.array([1.0, 0.1, k])) for k in range(lamps))
     write_light(tmp_path, Light("some", environment, suns))
     again = read_light(tmp_path)
     assert again.name == "some"
@@ -59,7 +59,7 @@ def test_a_light_comes_back_as_it_was(sky: bool, lamps: int, tmp_path: Path) -> 
 
 
 def test_folders_are_written_once_and_live_as_long_as_what_is_in_them() -> None:
-    light, other = (Light("sun", None, ((heading(0, 0), np.ones(3)),)) for _ in range(2))
+    light, other = (Light("sun", None, ((direction_from_angles(0, 0), np.ones(3)),)) for _ in range(2))
     folder = light_folder(light)
     assert light_folder(light) == folder
     assert light_folder(other) != folder
@@ -70,7 +70,7 @@ def test_folders_are_written_once_and_live_as_long_as_what_is_in_them() -> None:
 
 
 def test_another_format_is_refused(tmp_path: Path) -> None:
-    write_light(tmp_path, Light("sun", None, ((heading(0, 0), np.ones(3)),)))
+    write_light(tmp_path, Light("sun", None, ((direction_from_angles(0, 0), np.ones(3)),)))
     path = tmp_path / "light.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), "format": 2}))
     with pytest.raises(InputError, match=r"light.json: format 2 found, 1 expected"):

@@ -13,12 +13,12 @@ from helpers import foreign
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.render.renderers.base import Budget, Capabilities
 from sfsnet_dr.render.renderers.registry import find_renderer, renderers
-from sfsnet_dr.render.renderers.sandbox import Outcome, run_guarded
-from sfsnet_dr.scene.lights.light import Light, heading
+from sfsnet_dr.render.renderers.sandbox import Outcome, run_sandboxed
+from sfsnet_dr.scene.lights.light import Light, direction_from_angles
 from sfsnet_dr.scene.spec import CameraSpec, SceneSpec
 from sfsnet_dr.scene.subject import Subject, build_subject
 
-SUN = Light("sun", None, ((heading(30, 20), np.array([3.0, 2.0, 1.0])),))
+SUN = Light("sun", None, ((direction_from_angles(30, 20), np.array([3.0, 2.0, 1.0])),))
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -35,7 +35,7 @@ def sphere() -> Subject:
 
 
 def run(name: str, subject: Subject, seconds: float = 60.0) -> Outcome:
-    return run_guarded(name, subject, SUN, Budget(samples=64), seconds)
+    return run_sandboxed(name, subject, SUN, Budget(samples=64), seconds)
 
 
 def test_an_entry_point_becomes_a_renderer(sphere: Subject) -> None:
@@ -87,7 +87,7 @@ def test_one_that_hangs_is_ended_and_started_again(sphere: Subject) -> None:
 
 def test_our_own_run_here_and_fail_as_quietly(sphere: Subject, monkeypatch: pytest.MonkeyPatch) -> None:
     assert run("numpy-order2", sphere).failure is None
-    few = run_guarded("mitsuba-llvm-path", sphere, SUN, Budget(samples=1))
+    few = run_sandboxed("mitsuba-llvm-path", sphere, SUN, Budget(samples=1))
     assert str(few.failure).startswith("raised: InputError: samples: 1 found, at least 2")
     monkeypatch.setenv("SFSNET_DR_CYCLES_PYTHON", "/nowhere/python")
     missing = run("cycles-path", sphere)

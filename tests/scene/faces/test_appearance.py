@@ -12,7 +12,7 @@ from sfsnet_dr.scene.faces.appearance import GREATEST_ALBEDO, LEAST_ALBEDO, Appe
 from sfsnet_dr.scene.faces.model import FaceModel
 from sfsnet_dr.scene.faces.person import TONE_RANGE, Person
 from sfsnet_dr.scene.faces.regions import RegionWeights
-from sfsnet_dr.scene.faces.registry import load_model
+from sfsnet_dr.scene.faces.registry import load_face_model
 from sfsnet_dr.scene.faces.skin_color import typology_angle
 from sfsnet_dr.scene.faces.zones import face_zones
 from sfsnet_dr.scene.mesh import Region
@@ -23,7 +23,7 @@ SEEDS = range(40)
 
 def model() -> FaceModel:
     """A coarse head: what is tested here does not depend on the triangles' size."""
-    return load_model(SceneSpec("test", "anny", head=HeadSpec(subdivision=1)))
+    return load_face_model(SceneSpec("test", "anny", head=HeadSpec(subdivision=1)))
 
 
 def weights() -> RegionWeights:

@@ -15,8 +15,8 @@ from sfsnet_dr.scene.faces.basel import read_basel
 from sfsnet_dr.scene.faces.face import sample_face
 from sfsnet_dr.scene.faces.model import EYE_CENTRES, EYE_SURFACE, streams_of
 from sfsnet_dr.scene.faces.person import Person
-from sfsnet_dr.scene.faces.registry import load_model
-from sfsnet_dr.scene.mesh import Region, sphere, vertex_normals
+from sfsnet_dr.scene.faces.registry import load_face_model
+from sfsnet_dr.scene.mesh import Region, sphere_mesh, vertex_normals
 from sfsnet_dr.scene.spec import HeadSpec, SceneSpec
 
 h5py = pytest.importorskip("h5py")
@@ -39,7 +39,7 @@ MODES, VALUES = 4, ("shape", "expression", "color")
 
 def _egg() -> tuple[np.ndarray, np.ndarray]:
     """A face-sized ellipsoid with a nose, in millimetres, and its triangles."""
-    ball = sphere(1.0, rings=90)
+    ball = sphere_mesh(1.0, rings=90)
     points = ball.vertices * (75.0, 110.0, 95.0)
     nose = np.exp(-((points[:, 0] / 10.0) ** 2) - ((points[:, 1] + 2.0) / 14.0) ** 2) * (points[:, 2] > 0)
     points[:, 2] += 22.0 * nose
@@ -107,7 +107,7 @@ def test_cells_may_lie_either_way_and_parts_may_be_missing(tmp_path: Path) -> No
 
 
 def test_hundred_heads_are_sane(spec: SceneSpec) -> None:
-    model = load_model(spec)
+    model = load_face_model(spec)
     heads = measure_heads(model, HeadSpec(expression=1.0), range(100))
     assert heads.finite.all()
     assert heads.inverted.max() < 0.01
@@ -117,7 +117,7 @@ def test_hundred_heads_are_sane(spec: SceneSpec) -> None:
 
 
 def test_the_mean_stands_in_the_common_frame(spec: SceneSpec) -> None:
-    model = load_model(spec)
+    model = load_face_model(spec)
     still = model.shape(Person(0.0, 0.5, 40.0), streams_of(0), HeadSpec(identity=0.0, expression=0.0))
     # Depth excepted: a mesh gives the surface, and its eyes may look a little to one side of z.
     np.testing.assert_allclose(still.eyes[:, :2], (EYE_CENTRES + EYE_SURFACE)[:, :2], atol=2e-3)
@@ -130,7 +130,7 @@ def test_the_mean_stands_in_the_common_frame(spec: SceneSpec) -> None:
 def test_its_colours_become_the_albedo(spec: SceneSpec) -> None:
     face = sample_face(4, spec)
     assert face.appearance is None
-    colours = [load_model(spec).colour(streams_of(seed)) for seed in range(30)]
+    colours = [load_face_model(spec).colour(streams_of(seed)) for seed in range(30)]
     people = np.array([colour for colour in colours if colour is not None])
     assert len(people) == 30
     np.testing.assert_array_equal(face.mesh.albedo, people[4])
@@ -161,7 +161,7 @@ def test_without_colours_the_skin_is_ours(tmp_path: Path) -> None:
 def test_damaged_files_are_named(tmp_path: Path, changed: dict[str, object], message: str) -> None:
     path = write_basel(tmp_path / "damaged.h5", **changed)
     with pytest.raises(InputError, match=message) as caught:
-        load_model(SceneSpec("x", "basel", model_path=str(path)))
+        load_face_model(SceneSpec("x", "basel", model_path=str(path)))
     assert "damaged.h5" in str(caught.value)
 
 

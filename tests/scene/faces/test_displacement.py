@@ -6,11 +6,11 @@ from numpy.typing import NDArray
 
 from sfsnet_dr.core.color import luminance
 from sfsnet_dr.scene.faces.appearance import skin_appearance
-from sfsnet_dr.scene.faces.displacement import MILLIMETRE, displace
+from sfsnet_dr.scene.faces.displacement import MILLIMETRE, displace_mesh
 from sfsnet_dr.scene.faces.model import FaceModel
 from sfsnet_dr.scene.faces.person import Person
 from sfsnet_dr.scene.faces.regions import RegionWeights
-from sfsnet_dr.scene.faces.registry import load_model
+from sfsnet_dr.scene.faces.registry import load_face_model
 from sfsnet_dr.scene.faces.zones import face_zones
 from sfsnet_dr.scene.mesh import vertex_normals
 from sfsnet_dr.scene.spec import HeadSpec, SceneSpec
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 def model() -> FaceModel:
     """A coarse head: what is tested here does not depend on the triangles' size."""
-    return load_model(SceneSpec("test", "anny", head=HeadSpec(subdivision=1)))
+    return load_face_model(SceneSpec("test", "anny", head=HeadSpec(subdivision=1)))
 
 
 def weights() -> RegionWeights:
@@ -34,7 +34,7 @@ def normals() -> Array:
 def heights(seed: int, person: Person) -> Array:
     """(V,) mm along the normals, without hair."""
     neutral, normal = weights().neutral, normals()
-    moved = displace(neutral, normal, weights(), np.random.default_rng(seed), person)
+    moved = displace_mesh(neutral, normal, weights(), np.random.default_rng(seed), person)
     return np.asarray(((moved - neutral) * normal).sum(axis=1) / MILLIMETRE)
 
 
@@ -62,7 +62,7 @@ def test_bumps_show_in_the_normals_without_turning_them_round() -> None:
     for seed, age in ((0, 20.0), (1, 50.0), (2, 80.0)):
         person = Person(tone=20.0, male=1.0, age=age)
         hair = skin_appearance(weights(), np.random.default_rng(seed), person).hair
-        moved = displace(neutral, normal, weights(), np.random.default_rng(seed), person, hair)
+        moved = displace_mesh(neutral, normal, weights(), np.random.default_rng(seed), person, hair)
         cosine = (vertex_normals(moved, faces) * normal).sum(axis=1)[skin()]
         angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
         assert 0.5 < angle.mean() < 8.0
@@ -89,7 +89,7 @@ def test_hair_rises_over_the_skin() -> None:
     raised = []
     for seed in range(12):
         hair = skin_appearance(weights(), np.random.default_rng(seed), person).hair
-        moved = displace(neutral, normal, weights(), np.random.default_rng(seed), person, hair)
+        moved = displace_mesh(neutral, normal, weights(), np.random.default_rng(seed), person, hair)
         height = ((moved - neutral) * normal).sum(axis=1) / MILLIMETRE
         brow, inside = hair.brow > 0.5, (face_zones(weights()).hairline > 0.3) & (hair.scalp > 0.8)
         assert height[brow].mean() > 0.1

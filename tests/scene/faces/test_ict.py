@@ -19,7 +19,7 @@ from sfsnet_dr.scene.faces.ict import IctFace
 from sfsnet_dr.scene.faces.ict_files import read_ict
 from sfsnet_dr.scene.faces.model import EYE_CENTRES, EYE_SURFACE, FaceModel, Stream, streams_of
 from sfsnet_dr.scene.faces.person import Person
-from sfsnet_dr.scene.faces.registry import load_model
+from sfsnet_dr.scene.faces.registry import load_face_model
 from sfsnet_dr.scene.mesh import Region
 from sfsnet_dr.scene.spec import HeadSpec, SceneSpec
 
@@ -31,7 +31,7 @@ HEAD = HeadSpec(subdivision=0)
 
 @pytest.fixture(scope="module")
 def model() -> FaceModel:
-    return load_model(SceneSpec("coarse", "ict", model_path=PATH, head=HEAD))
+    return load_face_model(SceneSpec("coarse", "ict", model_path=PATH, head=HEAD))
 
 
 def test_hundred_heads_are_sane(model: FaceModel) -> None:
@@ -67,7 +67,7 @@ def test_every_region_has_vertices_and_no_shell_is_left(model: FaceModel) -> Non
 
 
 def test_finer_levels_keep_the_surface(model: FaceModel) -> None:
-    fine = load_model(SceneSpec("fine", "ict", model_path=PATH, head=HeadSpec(subdivision=1)))
+    fine = load_face_model(SceneSpec("fine", "ict", model_path=PATH, head=HeadSpec(subdivision=1)))
     assert len(fine.faces) > 2.5 * len(model.faces)  # the skin's quads become four; eyes and teeth stay
     tips = [each.weights.neutral[each.landmarks["nose_tip"]] for each in (model, fine)]
     assert (

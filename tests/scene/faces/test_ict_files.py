@@ -12,7 +12,7 @@ import pytest
 
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.scene.faces import ict_files
-from sfsnet_dr.scene.faces.ict_files import IctFiles, read_ict
+from sfsnet_dr.scene.faces.ict_files import IctData, read_ict
 
 VERTICES, MODES, UNITS = 40, 3, ("browDown_L", "jawOpen")
 
@@ -24,12 +24,12 @@ def _small(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def files() -> IctFiles:
+def files() -> IctData:
     rng = np.random.default_rng(0)
     faces = rng.permuted(np.tile(np.arange(VERTICES), (20, 1)), axis=1)[:, :4]
     faces[::5, 3] = faces[::5, 2]  # triangles
     uv_faces = np.where(faces == faces, faces + 1, 0)
-    return IctFiles(
+    return IctData(
         neutral=rng.normal(0.0, 8.0, (VERTICES, 3)).astype(np.float32),
         faces=faces.astype(np.int32),
         uv=rng.random((VERTICES + 1, 2)).astype(np.float32),
@@ -40,14 +40,14 @@ def files() -> IctFiles:
     )
 
 
-def write_compact(path: Path, files: IctFiles, **other: np.ndarray) -> Path:
+def write_compact(path: Path, files: IctData, **other: np.ndarray) -> Path:
     arrays = {name: getattr(files, name) for name in ("neutral", "faces", "uv", "uv_faces", "identity")}
     arrays |= {"expression": files.expression, "expression_names": np.array(files.expression_names)}
     np.savez_compressed(path, **(arrays | other))
     return path
 
 
-def write_clone(folder: Path, files: IctFiles) -> Path:
+def write_clone(folder: Path, files: IctData) -> Path:
     """The OBJ files that the arrays stand for, triangles written as such."""
     inside = folder / "FaceXModel"
     inside.mkdir(parents=True)
@@ -65,20 +65,20 @@ def write_clone(folder: Path, files: IctFiles) -> Path:
     return folder
 
 
-def _assert_same(found: IctFiles, expected: IctFiles) -> None:
+def _assert_same(found: IctData, expected: IctData) -> None:
     assert found.expression_names == expected.expression_names
     for name in ("neutral", "faces", "uv", "uv_faces", "identity", "expression"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
 
 
-def test_clone_and_compact_file_are_the_same(tmp_path: Path, files: IctFiles) -> None:
+def test_clone_and_compact_file_are_the_same(tmp_path: Path, files: IctData) -> None:
     clone = write_clone(tmp_path / "clone", files)
     _assert_same(read_ict(clone), files)
     _assert_same(read_ict(clone / "FaceXModel"), files)
     _assert_same(read_ict(write_compact(tmp_path / "ict.npz", files)), files)
 
 
-def test_a_changed_vertex_is_noticed(tmp_path: Path, files: IctFiles) -> None:
+def test_a_changed_vertex_is_noticed(tmp_path: Path, files: IctData) -> None:
     clone = write_clone(tmp_path, files)
     path = clone / "FaceXModel" / "jawOpen.obj"
     path.write_text(path.read_text().replace("v ", "v 9", 1))
@@ -98,7 +98,7 @@ def test_a_changed_vertex_is_noticed(tmp_path: Path, files: IctFiles) -> None:
     ],
 )
 def test_damaged_clones_are_named(
-    tmp_path: Path, files: IctFiles, name: str, text: str | None, message: str
+    tmp_path: Path, files: IctData, name: str, text: str | None, message: str
 ) -> None:
     path = write_clone(tmp_path, files) / "FaceXModel" / name
     path.unlink() if text is None else path.write_text(text)
@@ -106,7 +106,7 @@ def test_damaged_clones_are_named(
         read_ict(tmp_path)
 
 
-def test_damaged_compact_files_are_named(tmp_path: Path, files: IctFiles) -> None:
+def test_damaged_compact_files_are_named(tmp_path: Path, files: IctData) -> None:
     empty = tmp_path / "empty.npz"
     empty.write_bytes(b"")
     cut = write_compact(tmp_path / "cut.npz", files)

@@ -12,8 +12,8 @@ from sfsnet_dr.core.config import as_dict
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.scene.faces.face import sample_face, sample_shape
 from sfsnet_dr.scene.faces.model import EYE_CENTRES, FaceModel
-from sfsnet_dr.scene.faces.pose import project
-from sfsnet_dr.scene.faces.registry import load_model
+from sfsnet_dr.scene.faces.pose import project_points
+from sfsnet_dr.scene.faces.registry import load_face_model
 from sfsnet_dr.scene.mesh import Region, vertex_normals
 from sfsnet_dr.scene.spec import CameraSpec, HeadSpec, SceneSpec
 
@@ -22,7 +22,7 @@ COARSE = SceneSpec("coarse", "anny", head=HeadSpec(subdivision=0))
 
 @pytest.fixture(scope="module")
 def model() -> FaceModel:
-    return load_model(COARSE)
+    return load_face_model(COARSE)
 
 
 def test_hundred_heads_are_sane(model: FaceModel) -> None:
@@ -47,7 +47,7 @@ def test_an_inverted_head_is_noticed(model: FaceModel) -> None:
 
 
 def test_regions_lie_where_a_face_has_them() -> None:
-    model = load_model(SceneSpec("fine", "anny"))
+    model = load_face_model(SceneSpec("fine", "anny"))
     neutral, labels = model.weights.neutral, model.labels
     assert all((labels == region).any() for region in Region), "every region has vertices"
     height = {region: neutral[labels == region, 1].mean() for region in Region}
@@ -71,10 +71,10 @@ def test_eyes_land_on_their_pixels() -> None:
     head = HeadSpec(subdivision=0, yaw=0.0, roll=0.0, scale_jitter=0.0, shift_jitter=0.0)
     face = sample_face(3, SceneSpec("x", "anny", head=head))
     camera = face.pose.camera(CameraSpec())
-    seen = [project(face.landmarks[f"eye_image_{side}"], camera) for side in ("left", "right")]
+    seen = [project_points(face.landmarks[f"eye_image_{side}"], camera) for side in ("left", "right")]
     np.testing.assert_allclose(seen, [[45.0, 48.0], [83.0, 48.0]], atol=0.01)  # place() stops at .001 pixel
     mouth = (face.landmarks["mouth_image_left"] + face.landmarks["mouth_image_right"]) / 2
-    assert 48.0 < project(mouth, camera)[1] < project(face.landmarks["chin"], camera)[1] < 140.0
+    assert 48.0 < project_points(mouth, camera)[1] < project_points(face.landmarks["chin"], camera)[1] < 140.0
 
 
 def test_a_seed_is_a_person() -> None:

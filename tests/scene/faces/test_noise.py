@@ -59,12 +59,12 @@ def test_every_draw_takes_as_many_numbers() -> None:
 
 
 def test_what_is_kept_for_a_head_goes_with_it() -> None:
-    from sfsnet_dr.scene.faces.per_head_cache import per_head
+    from sfsnet_dr.scene.faces.per_head_cache import cached_per_head
     from sfsnet_dr.scene.faces.regions import RegionWeights
 
     made: list[int] = []
 
-    @per_head
+    @cached_per_head
     def count(weights: RegionWeights) -> int:
         made.append(len(weights.neutral))
         return len(made)

@@ -5,7 +5,7 @@ import pytest
 
 from sfsnet_dr.core.conventions import EYE_IMAGE_LEFT, EYE_IMAGE_RIGHT
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.scene.faces.pose import Pose, distance_of, place, project
+from sfsnet_dr.scene.faces.pose import Pose, camera_distance, place_head, project_points
 from sfsnet_dr.scene.spec import CameraSpec, HeadSpec
 
 #: A head of straws, decimetres: eyes, nose, chin, crown.
@@ -19,14 +19,14 @@ LENSES = CameraSpec(focal=(26.0, 200.0))
 def seen(pose: Pose) -> np.ndarray:
     """Pixels of the head's points."""
     camera = pose.camera(CameraSpec())
-    return project(place(HEAD, EYES, pose, camera), camera)
+    return project_points(place_head(HEAD, EYES, pose, camera), camera)
 
 
 @pytest.mark.parametrize("distance", [3.6, 12.0, 1000.0])
 @pytest.mark.parametrize("pitch", [0.0, -30.0, 20.0])
 def test_eyes_are_in_their_canonical_places(pitch: float, distance: float) -> None:
     pixels = seen(Pose(pitch=pitch, distance=distance))
-    # ``place`` stops within .001 pixel.
+    # ``place_head`` stops within .001 pixel.
     np.testing.assert_allclose(pixels[:2], [EYE_IMAGE_LEFT, EYE_IMAGE_RIGHT], atol=1.5e-3)
 
 
@@ -76,14 +76,14 @@ def test_near_cameras_enlarge_the_nose_and_hide_the_crown() -> None:
 
 def test_distances_follow_the_lens() -> None:
     # The view's 2 units fill .4 of 36 mm: similar triangles.
-    assert distance_of(36.0) == pytest.approx(5.0)
-    assert distance_of(200.0) / distance_of(26.0) == pytest.approx(200 / 26)
+    assert camera_distance(36.0) == pytest.approx(5.0)
+    assert camera_distance(200.0) / camera_distance(26.0) == pytest.approx(200 / 26)
     rng = np.random.default_rng(0)
     distances = np.array([Pose.sample(rng, WIDE, LENSES).distance for _ in range(2000)])
-    assert distance_of(26.0) <= distances.min() < 1.02 * distance_of(26.0)
-    assert 0.98 * distance_of(200.0) < distances.max() <= distance_of(200.0)
+    assert camera_distance(26.0) <= distances.min() < 1.02 * camera_distance(26.0)
+    assert 0.98 * camera_distance(200.0) < distances.max() <= camera_distance(200.0)
     # Log-uniform: the median is the geometric mean, 72 mm; 4 sigma of 2000 draws.
-    assert np.median(distances) == pytest.approx(distance_of(np.sqrt(26 * 200)), rel=0.1)
+    assert np.median(distances) == pytest.approx(camera_distance(np.sqrt(26 * 200)), rel=0.1)
     assert Pose.sample(rng, WIDE, CameraSpec(distance=9.0)).distance == 9.0
 
 
@@ -100,7 +100,7 @@ def test_poses_stay_within_their_limits_and_reach_far() -> None:
     for pose in poses[:200]:
         camera = pose.camera(LENSES)
         assert camera.focal is None
-        assert np.isfinite(place(HEAD, EYES, pose, camera)).all()
+        assert np.isfinite(place_head(HEAD, EYES, pose, camera)).all()
 
 
 def test_a_camera_in_the_face_is_refused() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sfsnet_dr.scene.faces.regions import distance_to, inside, signed_distance
+from sfsnet_dr.scene.faces.regions import distance_to, inside_outline, signed_distance
 
 SQUARE = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]])
 
@@ -18,9 +18,9 @@ def test_distance_and_place_on_a_path() -> None:
 
 def test_inside_a_square_and_a_notch() -> None:
     points = np.array([[1.0, 1.0], [3.0, 1.0], [-0.1, 0.5], [1.9, 1.9]])
-    np.testing.assert_array_equal(inside(points, SQUARE), [True, False, False, True])
+    np.testing.assert_array_equal(inside_outline(points, SQUARE), [True, False, False, True])
     notched = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [1.0, 0.5], [0.0, 2.0]])
-    np.testing.assert_array_equal(inside(np.array([[1.0, 1.0], [1.0, 0.3]]), notched), [False, True])
+    np.testing.assert_array_equal(inside_outline(np.array([[1.0, 1.0], [1.0, 0.3]]), notched), [False, True])
 
 
 def test_signed_distance_of_a_circle() -> None:

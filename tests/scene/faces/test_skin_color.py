@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from sfsnet_dr.core.color import LUMINANCE, RGB_TO_XYZ, luminance, reflectance_weights
-from sfsnet_dr.scene.faces.skin_color import GAMUT_FLOOR, into_gamut, skin_rgb, typology_angle
+from sfsnet_dr.scene.faces.skin_color import GAMUT_FLOOR, clip_to_gamut, skin_rgb, typology_angle
 from sfsnet_dr.scene.faces.skin_optics import WAVELENGTHS, skin_reflectance
 
 
@@ -40,7 +40,7 @@ def test_gamut_mapping_keeps_luminance_and_colours_inside() -> None:
     rng = np.random.default_rng(0)
     colours = rng.uniform(-0.05, 0.6, (500, 3))
     colours = colours[colours @ LUMINANCE > GAMUT_FLOOR]
-    mapped = into_gamut(colours)
+    mapped = clip_to_gamut(colours)
     np.testing.assert_allclose(luminance(mapped), luminance(colours), atol=1e-12)
     assert mapped.min() >= GAMUT_FLOOR
     inside = colours.min(axis=1) >= GAMUT_FLOOR
@@ -51,7 +51,7 @@ def test_gamut_mapping_keeps_luminance_and_colours_inside() -> None:
 
 
 def test_a_colour_darker_than_the_floor_becomes_the_floor() -> None:
-    np.testing.assert_allclose(into_gamut([-0.01, 0.001, 0.0]), GAMUT_FLOOR)
+    np.testing.assert_allclose(clip_to_gamut([-0.01, 0.001, 0.0]), GAMUT_FLOOR)
 
 
 def test_typology_angle_is_its_definition() -> None:

@@ -8,13 +8,13 @@ from sfsnet_dr.scene.faces.appearance import skin_appearance
 from sfsnet_dr.scene.faces.eyes_makeup import paint_makeup
 from sfsnet_dr.scene.faces.person import Person
 from sfsnet_dr.scene.faces.regions import RegionWeights
-from sfsnet_dr.scene.faces.registry import load_model
+from sfsnet_dr.scene.faces.registry import load_face_model
 from sfsnet_dr.scene.faces.zones import face_zones
 from sfsnet_dr.scene.spec import HeadSpec, SceneSpec
 
 
 def weights() -> RegionWeights:
-    return load_model(SceneSpec("test", "anny", head=HeadSpec(subdivision=1))).weights
+    return load_face_model(SceneSpec("test", "anny", head=HeadSpec(subdivision=1))).weights
 
 
 def test_zones_lie_where_their_names_say() -> None:

@@ -6,10 +6,10 @@ from numpy.typing import NDArray
 
 from sfsnet_dr.scene.lights.equirect import (
     MAP_SIZE,
-    lookup,
     pixel_directions,
     pixel_solid_angles,
-    resample,
+    resample_map,
+    sample_map,
     turn_map,
 )
 from sfsnet_dr.scene.lights.light import rotation_about
@@ -31,9 +31,9 @@ def test_lookup_is_the_convention_of_the_projection() -> None:
     random = np.random.default_rng(0).normal(size=(500, 3))
     random /= np.linalg.norm(random, axis=1, keepdims=True)
     # Bilinear error: step^2 / 8 times the largest second derivative, .05^2 / 8 * 1.5^2 e^1.5 = 3.2e-3.
-    np.testing.assert_allclose(lookup(image, random), smooth(random), atol=3.2e-3)
+    np.testing.assert_allclose(sample_map(image, random), smooth(random), atol=3.2e-3)
     # Texel centres give the texels; acos and atan2 lose half the digits near the poles.
-    np.testing.assert_allclose(lookup(image, equirect_directions(*MAP_SIZE)), image, atol=1e-6)
+    np.testing.assert_allclose(sample_map(image, equirect_directions(*MAP_SIZE)), image, atol=1e-6)
 
 
 @pytest.mark.parametrize("columns", [1, 37, 127])
@@ -61,7 +61,7 @@ def test_resampling_keeps_the_light(size: tuple[int, int]) -> None:
     directions = pixel_directions(*size)
     picture = smooth(directions)
     picture[size[0] // 3, 5] += 1000  # a texel that point sampling would miss
-    image = resample(picture)
+    image = resample_map(picture)
     before = np.einsum("hw,hwc->c", pixel_solid_angles(*size), picture)
     after = np.einsum("hw,hwc->c", equirect_solid_angles(*MAP_SIZE), image)
     # Midpoints in the row integrals: 2e-6 seen for 128 rows, 1e-4 for 16, times 3.

@@ -5,20 +5,22 @@ import pytest
 
 from sfsnet_dr.core.color import LUMINANCE
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.scene.lights.area_lights import Panel, studio
+from sfsnet_dr.scene.lights.area_lights import Panel, studio_environment
 from sfsnet_dr.scene.lights.equirect import MAP_SIZE
-from sfsnet_dr.scene.lights.light import Light, heading, rotation_about
+from sfsnet_dr.scene.lights.light import Light, direction_from_angles, rotation_about
 from sfsnet_dr.sh.basis import sh_basis
 
 GREY = np.array([0.5, 0.5, 0.5])
-SUN = (heading(40.0, 30.0), np.array([3.0, 2.5, 2.0]))
+SUN = (direction_from_angles(40.0, 30.0), np.array([3.0, 2.5, 2.0]))
 
 
 def composed() -> Light:
     """A soft panel and two lamps: one of everything."""
-    panel = Panel(heading(-50, 20), (25.0, 15.0), 10.0, 6.0, np.array([4.0, 5.0, 6.0]), round=False)
-    walls = studio((panel,), np.array([0.2, 0.15, 0.1]), np.array([0.05, 0.05, 0.05]))
-    return Light("composed", walls, (SUN, (heading(-70.0, -10.0), np.array([0.3, 0.4, 1.0]))))
+    panel = Panel(
+        direction_from_angles(-50, 20), (25.0, 15.0), 10.0, 6.0, np.array([4.0, 5.0, 6.0]), round=False
+    )
+    walls = studio_environment((panel,), np.array([0.2, 0.15, 0.1]), np.array([0.05, 0.05, 0.05]))
+    return Light("composed", walls, (SUN, (direction_from_angles(-70.0, -10.0), np.array([0.3, 0.4, 1.0]))))
 
 
 def normals(count: int = 200) -> np.ndarray:
@@ -99,9 +101,9 @@ def test_a_softened_light_hardly_rings() -> None:
 
 
 def test_headings_are_the_conventions_of_the_camera_frame() -> None:
-    np.testing.assert_allclose(heading(0, 0), [0, 0, 1], atol=1e-15)  # the viewer
-    np.testing.assert_allclose(heading(90, 0), [1, 0, 0], atol=1e-15)  # image right
-    np.testing.assert_allclose(heading(17, 90), [0, 1, 0], atol=1e-15)
+    np.testing.assert_allclose(direction_from_angles(0, 0), [0, 0, 1], atol=1e-15)  # the viewer
+    np.testing.assert_allclose(direction_from_angles(90, 0), [1, 0, 0], atol=1e-15)  # image right
+    np.testing.assert_allclose(direction_from_angles(17, 90), [0, 1, 0], atol=1e-15)
     turned = rotation_about(np.array([0.0, 1.0, 0.0]), 90.0) @ np.array([0.0, 0.0, 1.0])
     np.testing.assert_allclose(turned, [1, 0, 0], atol=1e-15)
 
@@ -130,13 +132,13 @@ def test_a_light_behind_everything_cannot_be_exposed() -> None:
 def test_the_path_tracer_sees_the_same_light() -> None:
     """A convex ball, by Mitsuba: map and lamps together, direct light only."""
     from sfsnet_dr.render.path_tracer import path_trace
-    from sfsnet_dr.scene.mesh import sphere
+    from sfsnet_dr.scene.mesh import sphere_mesh
     from sfsnet_dr.scene.mitsuba_scene import SurfaceScene
     from sfsnet_dr.scene.spec import CameraSpec
 
     light, radius = composed(), 0.9
     camera = CameraSpec(distance=1000.0, size=32)
-    scene = SurfaceScene(sphere(radius), camera, light.directional, environment=True)
+    scene = SurfaceScene(sphere_mesh(radius), camera, light.directional, environment=True)
     assert light.environment is not None
     scene.set_environment(light.environment)
     images = [path_trace(scene, 1024, seed, depth=2).mean for seed in (0, 1)]

@@ -13,11 +13,11 @@ import pytest
 from sfsnet_dr.core.color import LUMINANCE
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.estimation.light_prior import fit_mixture
-from sfsnet_dr.scene.lights.cache import bank_fingerprint, draw_bank
+from sfsnet_dr.scene.lights.cache import draw_lights, light_fingerprint
 from sfsnet_dr.scene.lights.light import face_normals
 from sfsnet_dr.scene.lights.photo_prior import (
     LightMixture,
-    draw_fitted,
+    draw_photo_light,
     lights_visibly,
     possible_light,
     read_mixture,
@@ -154,18 +154,18 @@ def own_levels() -> Array:
 
 
 def test_banks_draw_fitted_lights(tmp_path: Path) -> None:
-    bank = draw_bank(FITTED_ONLY, 3, seed=0)
-    again = draw_bank(FITTED_ONLY, 3, seed=0)
+    bank = draw_lights(FITTED_ONLY, 3, seed=0)
+    again = draw_lights(FITTED_ONLY, 3, seed=0)
     np.testing.assert_array_equal(bank.radiance, again.radiance)
     assert not bank.power.any()
     assert not bank.free.any()
     assert len({row.tobytes() for row in bank.radiance}) == 3
     path = tmp_path / "mine.json"
     write_mixture(path, mixture())
-    assert draw_fitted(np.random.default_rng(0), str(path)).environment is not None
+    assert draw_photo_light(np.random.default_rng(0), str(path)).environment is not None
     fingerprints = {
-        bank_fingerprint(FITTED_ONLY, 3, 0),
-        bank_fingerprint(LightSpec(fitted=1, mixture=str(path)), 3, 0),
-        bank_fingerprint(LightSpec(), 3, 0),
+        light_fingerprint(FITTED_ONLY, 3, 0),
+        light_fingerprint(LightSpec(fitted=1, mixture=str(path)), 3, 0),
+        light_fingerprint(LightSpec(), 3, 0),
     }
     assert len(fingerprints) == 3

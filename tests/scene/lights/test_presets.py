@@ -14,8 +14,8 @@ from sfsnet_dr.scene.lights.equirect import MAP_SIZE
 from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.lights.presets import (
     EXPOSURE,
-    describe,
-    directional,
+    describe_light,
+    directional_light,
     light_set,
     light_sets,
     require_light,
@@ -34,8 +34,8 @@ def test_all_lights_have_their_names_and_one_exposure() -> None:
     for light in lights:
         assert light.face_shading() @ LUMINANCE == pytest.approx(EXPOSURE, rel=1e-9)
         assert require_light(light) is light
-        assert "map" not in describe(light)
-        assert "lamps" not in describe(light)
+        assert "map" not in describe_light(light)
+        assert "lamps" not in describe_light(light)
 
 
 def test_sets_and_single_lights_combine_in_a_fixed_order() -> None:
@@ -59,7 +59,7 @@ def test_a_band_is_a_constant_and_that_band_alone(band: int) -> None:
 
 @pytest.mark.parametrize("angle", [0, 30, 60, 85])
 def test_a_directional_light_stands_where_its_name_says(angle: int) -> None:
-    [(toward, _)] = directional(angle).directional
+    [(toward, _)] = directional_light(angle).directional
     assert np.degrees(np.arccos(toward[2])) == pytest.approx(angle, abs=1e-6)
     assert toward[0] >= 0
     assert toward[1] >= 0
@@ -68,7 +68,7 @@ def test_a_directional_light_stands_where_its_name_says(angle: int) -> None:
 def test_maps_of_a_folder_join(tmp_path: Path) -> None:
     write_exr(tmp_path / "My Room-2.exr", dict.fromkeys("RGB", np.ones((16, 32), np.float32)), {})
     assert [x.name for x in light_set("environments", tmp_path)][-1] == "map_my_room_2"
-    assert describe(light_set("map_my_room_2", tmp_path)[0]) == "a map"
+    assert describe_light(light_set("map_my_room_2", tmp_path)[0]) == "a map"
     assert light_set("map_my_room_2", tmp_path)[0].coefficients(0).values[0, 0] > 0
     write_exr(tmp_path / "my_room 2.exr", dict.fromkeys("RGB", np.ones((16, 32), np.float32)), {})
     with pytest.raises(InputError, match="two environment maps named 'map_my_room_2'"):

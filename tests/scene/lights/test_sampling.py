@@ -11,8 +11,14 @@ from sfsnet_dr.core.color import LUMINANCE
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.core.image_io import write_exr
 from sfsnet_dr.scene.lights.equirect import pixel_directions
-from sfsnet_dr.scene.lights.light import NEAR, heading
-from sfsnet_dr.scene.lights.sampling import LARGEST_ANGLE, draw, sample_direction, sample_scene_light, turn_to
+from sfsnet_dr.scene.lights.light import SNAP_DEG, direction_from_angles
+from sfsnet_dr.scene.lights.sampling import (
+    LARGEST_ANGLE,
+    draw_kind,
+    sample_direction,
+    sample_scene_light,
+    turn_to,
+)
 from sfsnet_dr.scene.lights.spec import LightKind, LightSpec
 from sfsnet_dr.scene.spec import load_scene
 
@@ -65,7 +71,7 @@ def test_hard_light_comes_from_the_given_directions(kind: LightKind, maps: Light
         light = sample_scene_light(np.random.default_rng(seed), only(kind, maps), directions)
         for toward, _ in light.directional:
             hard += 1
-            assert (directions @ toward).max() >= np.cos(np.radians(NEAR)) - 1e-12
+            assert (directions @ toward).max() >= np.cos(np.radians(SNAP_DEG)) - 1e-12
     if kind in ("sun_sky", "directional"):
         assert hard >= 6
 
@@ -75,7 +81,7 @@ def test_lamps_stay_within_85_degrees_and_reach_there(maps: LightSpec) -> None:
     angles = [
         np.degrees(np.arccos(toward[2]))
         for _ in range(200)
-        for toward, _ in draw("directional", rng, maps).directional
+        for toward, _ in draw_kind("directional", rng, maps).directional
     ]
     assert 80 < max(angles) <= LARGEST_ANGLE
     # Uniform in solid angle: half lie beyond acos((1 + cos 85) / 2) = 57.1 degrees; 4 sigma of 310 lamps.
@@ -84,14 +90,14 @@ def test_lamps_stay_within_85_degrees_and_reach_there(maps: LightSpec) -> None:
 
 def test_the_number_of_lamps_varies(maps: LightSpec) -> None:
     rng = np.random.default_rng(1)
-    counts = {len(draw("directional", rng, maps).directional) for _ in range(40)}
+    counts = {len(draw_kind("directional", rng, maps).directional) for _ in range(40)}
     assert counts == {1, 2, 3}
-    assert len(draw("directional", rng, maps, fan()[:1]).directional) == 1
+    assert len(draw_kind("directional", rng, maps, fan()[:1]).directional) == 1
 
 
 @pytest.mark.parametrize("tilt", [-20.0, 0.0, 25.0])
 def test_turn_to_brings_a_direction_to_another(tilt: float) -> None:
-    start, target = heading(100.0, 30.0), heading(-20.0, 30.0 + tilt)
+    start, target = direction_from_angles(100.0, 30.0), direction_from_angles(-20.0, 30.0 + tilt)
     turn = turn_to(start, target)
     np.testing.assert_allclose(turn @ start, target, atol=1e-12)
     np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
@@ -99,17 +105,17 @@ def test_turn_to_brings_a_direction_to_another(tilt: float) -> None:
 
 
 def test_surroundings_turn_their_sun_to_a_direction(maps: LightSpec) -> None:
-    target = heading(50.0, 30.0)
+    target = direction_from_angles(50.0, 30.0)
     suns = [
         light.directional[0][0]
         for seed in range(10)
-        if (light := draw("hdr", np.random.default_rng(seed), maps, target[None])).directional
+        if (light := draw_kind("hdr", np.random.default_rng(seed), maps, target[None])).directional
     ]
     assert suns
     for sun in suns:
         np.testing.assert_allclose(sun, target, atol=1e-9)
     # From far below the horizon no sun shines: the map is not turned over, and the light is made soft.
-    below = heading(50.0, -60.0)[None]
+    below = direction_from_angles(50.0, -60.0)[None]
     for seed in range(6):
         light = sample_scene_light(np.random.default_rng(seed), only("hdr", maps), below)
         assert light.directional == ()
@@ -120,7 +126,7 @@ def test_without_a_folder_other_kinds_are_drawn() -> None:
     names = {sample_scene_light(np.random.default_rng(seed), LightSpec()).name for seed in range(30)}
     assert {"studio", "directional", "sun_sky"} <= names
     with pytest.raises(InputError, match="environments"):
-        draw("hdr", np.random.default_rng(0), LightSpec())
+        draw_kind("hdr", np.random.default_rng(0), LightSpec())
     with pytest.raises(InputError, match="weight"):
         sample_scene_light(np.random.default_rng(0), replace(NONE, hdr=1.0))
 

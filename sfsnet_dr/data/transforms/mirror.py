@@ -20,24 +20,24 @@ def x_parity(order: int) -> NDArray[np.float64]:
     return np.array(signs)
 
 
-def flip_map(image: Tensor) -> Tensor:
+def mirror_map(image: Tensor) -> Tensor:
     """Reverse the columns of an image (..., H, W) whose values do not depend on x."""
     return image.flip(-1)
 
 
-def flip_normal(normal: Tensor) -> Tensor:
+def mirror_normal(normal: Tensor) -> Tensor:
     """Reflect normals (..., 3, H, W): columns reversed and x negated."""
     return normal.flip(-1) * normal.new_tensor([-1.0, 1.0, 1.0])[:, None, None]
 
 
-def flip_transport(transport: Tensor) -> Tensor:
+def mirror_transport(transport: Tensor) -> Tensor:
     """Reflect transport (..., K, 3, H, W): the reflected face under Y_k is the face under +-Y_k."""
     order = int(transport.shape[-4] ** 0.5) - 1
     signs = transport.new_tensor(x_parity(order))
     return transport.flip(-1) * signs[:, None, None, None]
 
 
-def flip_light(light: Tensor) -> Tensor:
+def mirror_light(light: Tensor) -> Tensor:
     """Reflect light coefficients (..., 3K), all of red, of green, of blue: those odd in x change sign."""
     count = light.shape[-1] // 3
     return light * light.new_tensor(x_parity(int(count**0.5) - 1)).repeat(3)
