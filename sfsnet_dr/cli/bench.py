@@ -78,7 +78,7 @@ class BenchRelight:
         if self.environments is not None:
             light = replace(spec.light or LightSpec(), environments=str(self.environments))
             spec = replace(spec, light=light)
-        spec = replace(spec, sampling=replace(spec.sampling, reference=self.paths))
+        spec = replace(spec, sampling=replace(spec.sampling, reference_spp=self.paths))
         with progress_bar("measuring faces", self.faces) as advance:
             records = bench_relight(
                 spec, self.out, faces=self.faces, seed=self.seed, command=command_line(), on_face=advance

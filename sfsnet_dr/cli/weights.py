@@ -27,10 +27,13 @@ class WeightsList:
 
     def run(self) -> Result:
         from sfsnet_dr.experiments.pipeline.model_card import card_records
-        from sfsnet_dr.models.shipped import FOLDER, SHIPPED
+        from sfsnet_dr.models.shipped import FOLDER, HELDOUT, SHIPPED
 
         records = [record for name in SHIPPED for record in card_records(name)]
-        return result_of_records(records, f"cards: {FOLDER}/NAME.md for {', '.join(SHIPPED)}")
+        return result_of_records(
+            records,
+            f"cards: {FOLDER}/NAME.md for {', '.join((*SHIPPED, *HELDOUT))}",
+        )
 
 
 @dataclass(frozen=True)
@@ -145,8 +148,8 @@ class FitLights:
 
     PHOTOS is a folder as `sfsnet-dr pseudo-label` takes it. Writes OUT/fits.jsonl, a line a photograph,
     OUT/mixture.json, and OUT/overlays.png to look at. A recipe draws lights from the mixture with
-    data.light.fitted above 0, and data.light.mixture for another one than the package's own. The same command
-    goes on where it was stopped.
+    data.light.fitted above 0, and data.light.light_prior_file for another one than the package's own. The
+    same command goes on where it was stopped.
 
     Example: sfsnet-dr fit-lights photos --model-path FaceXModel --out out/lights
     """

@@ -106,7 +106,7 @@ def load_faces(
     ranks = sorted(entry.sha256 for _, entry in bundles)
     if not 0 <= held_back < max(1, len(ranks) / 2):
         raise InputError(
-            f"data.held_back: {held_back} of {len(ranks)} bundles found, less than half is allowed"
+            f"data.num_val: {held_back} of {len(ranks)} bundles found, less than half is allowed"
         )
     kept = set(ranks[:held_back])
     chosen = [(path, entry) for path, entry in bundles if (entry.sha256 in kept) == held]
@@ -203,7 +203,7 @@ class RelitFaces:
         self.batch_size = batch_size
         self.augmentation = augmentation
         self.seed = seed
-        self.bank = bank or draw_lights(augmentation.light, augmentation.lights, seed)
+        self.bank = bank or draw_lights(augmentation.light, augmentation.num_lights, seed)
 
     @property
     def fingerprint(self) -> str:

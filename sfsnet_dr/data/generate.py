@@ -168,13 +168,13 @@ def render_bundle(spec: SceneSpec, seed: int) -> Bundle:
     camera = face.pose.camera(spec.camera)
     global _scenes
     _scenes = _scenes or SceneCache()
-    directions = _sample_directions(seed, sampling.directions)
-    options = TransportOptions(MAP_ORDER, sampling.bounces, sampling.paths)
+    directions = _sample_directions(seed, sampling.directional_lights)
+    options = TransportOptions(MAP_ORDER, sampling.max_bounces, sampling.paths_per_hit)
     scene = _scenes.show(face.mesh, camera, gloss=spec.has_gloss)
-    maps = render_aovs(scene, sampling.transport, seed, options, directions)
+    maps = render_aovs(scene, sampling.spp, seed, options, directions)
     light, coefficients = _reference_light(spec, seed, directions)
     scene = _scenes.show(face.mesh, camera, light, gloss=spec.has_gloss)
-    reference = path_trace(scene, sampling.reference, seed, sampling.depth)
+    reference = path_trace(scene, sampling.reference_spp, seed, sampling.max_depth)
     extra: dict[str, Any] = {
         "spec": as_dict(dataset),
         "pose": as_dict(face.pose),

@@ -13,7 +13,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -22,7 +22,7 @@ from torch import Tensor
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.data.batch import FaceBatch, epoch_indices, shard
 from sfsnet_dr.data.dataset import RelitFaces
-from sfsnet_dr.data.pseudo_labels import Labels, PseudoFaces, Values, as_network_input, decode_labels
+from sfsnet_dr.data.pseudo_labels import Encoding, Labels, PseudoFaces, as_network_input, decode_labels
 from sfsnet_dr.data.transforms.mirror import mirror_light, mirror_map, mirror_normal
 
 
@@ -107,29 +107,36 @@ class PseudoLabelOptions:
     """How photographs take part in training.
 
     Attributes:
-        share: of each mini-batch; 0 for rendered faces alone.
+        batch_fraction: of each mini-batch; 0 for rendered faces alone.
         flip: probability of a left-right reflection.
-        darker: greatest change of exposure, in stops, always down: what is clipped cannot be brought back.
-        values: what a photograph's numbers are to the network; "display" is the paper's form.
+        exposure_stops: greatest change of exposure, in stops, always down: what is clipped cannot be brought
+            back.
+        encoding: what a photograph's numbers are to the network; "srgb" is the paper's form.
 
     Raises:
         InputError: for a value out of its range.
     """
 
-    share: float = 0.0
+    RENAMED: ClassVar[dict[str, str]] = {
+        "share": "batch_fraction",
+        "darker": "exposure_stops",
+        "values": "encoding",
+    }
+
+    batch_fraction: float = 0.0
     flip: float = 0.5
-    darker: float = 0.5
-    values: Values = field(default="linear")
+    exposure_stops: float = 0.5
+    encoding: Encoding = field(default="linear")
 
     def __post_init__(self) -> None:
-        for name, largest in (("share", 1.0), ("flip", 1.0), ("darker", 8.0)):
+        for name, largest in (("batch_fraction", 1.0), ("flip", 1.0), ("exposure_stops", 8.0)):
             value = getattr(self, name)
             if not 0 <= value <= largest:
                 raise InputError(f"real.{name}: {value:g} found, 0 to {largest:g} allowed")
 
     def count(self, batch_size: int) -> int:
         """Photographs in a mini-batch; see ``count_real_images``."""
-        return count_real_images("real.share", self.share, batch_size)
+        return count_real_images("real.batch_fraction", self.batch_fraction, batch_size)
 
 
 def count_real_images(name: str, share: float, batch_size: int) -> int:
@@ -171,9 +178,9 @@ class RealFaces:
 
     def __init__(self, faces: PseudoFaces, batch_size: int, options: PseudoLabelOptions, seed: int) -> None:
         found = faces.spec.get("values")
-        if found != options.values:
+        if found != options.encoding:
             raise InputError(
-                f"real.values: {options.values!r} found, the pseudo-labels were made with {found!r}"
+                f"real.encoding: {options.encoding!r} found, the pseudo-labels were made with {found!r}"
             )
         self.faces, self.batch_size, self.options, self.seed = faces, batch_size, options, seed
 
@@ -205,9 +212,9 @@ class RealFaces:
         picked = Labels(*(planes.index_select(0, rows) for planes in self.faces.labels))
         shown = decode_labels(picked)
         flips = torch.from_numpy(rng.uniform(size=count) < self.options.flip)[part].to(device)
-        stops = torch.from_numpy(rng.uniform(-self.options.darker, 0, count)).float()[part].to(device)
+        stops = torch.from_numpy(rng.uniform(-self.options.exposure_stops, 0, count)).float()[part].to(device)
         gain = 2.0**stops
-        image = as_network_input(picked.image, self.options.values) * gain[:, None, None, None]
+        image = as_network_input(picked.image, self.options.encoding) * gain[:, None, None, None]
         maps = (image, shown.albedo, shown.mask, shown.confidence)
         turned = flips[:, None, None, None]
         image, albedo, mask, confidence = (torch.where(turned, mirror_map(planes), planes) for planes in maps)

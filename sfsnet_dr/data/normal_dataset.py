@@ -15,7 +15,7 @@ import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 import torch
@@ -41,7 +41,7 @@ class NormalLabelOptions:
     """How faces with labels by photometric stereo take part in training.
 
     Attributes:
-        share: of each mini-batch; 0 for none.
+        batch_fraction: of each mini-batch; 0 for none.
         flip: probability of a left-right reflection.
         exposure: greatest change of exposure, in stops, either way, after the metering that measuring does
             too.
@@ -55,7 +55,9 @@ class NormalLabelOptions:
         InputError: for a value out of its range.
     """
 
-    share: float = 0.0
+    RENAMED: ClassVar[dict[str, str]] = {"share": "batch_fraction"}
+
+    batch_fraction: float = 0.0
     flip: float = 0.5
     exposure: float = 0.5
     folds: int = 4
@@ -66,7 +68,7 @@ class NormalLabelOptions:
 
     def __post_init__(self) -> None:
         ranges: dict[str, tuple[float, float]] = {
-            "share": (0, 1),
+            "batch_fraction": (0, 1),
             "flip": (0, 1),
             "exposure": (0, 4),
             "folds": (1, 1000),
@@ -90,7 +92,7 @@ class NormalLabelOptions:
 
     def count(self, batch_size: int) -> int:
         """Images in a mini-batch; see ``data.mixture.count_of``."""
-        return count_real_images("surfaces.share", self.share, batch_size)
+        return count_real_images("normal_labels.batch_fraction", self.batch_fraction, batch_size)
 
 
 def fold_of(subject: str, folds: int) -> int:
@@ -107,8 +109,8 @@ class IdentitySplit:
         folds, fold: see ``NormalLabelOptions``.
         learnt: subjects trained on.
         held_back: subjects whose labels training never sees.
-        lamps_by: the network that helped to find where the lamps were; empty where the database told it, and
-            the labels are its truth.
+        calibrated_by: the network that helped to find where the lamps were; empty where the database told it,
+            and the labels are its truth.
         seen: those held back whose pictures the network had learnt from before, without their truth.
     """
 
@@ -117,7 +119,7 @@ class IdentitySplit:
     fold: int
     learnt: tuple[str, ...]
     held_back: tuple[str, ...]
-    lamps_by: str = ""
+    calibrated_by: str = ""
     seen: tuple[str, ...] = ()
 
     @property
@@ -128,7 +130,7 @@ class IdentitySplit:
 
 def read_split(metadata: dict[str, Any]) -> IdentitySplit | None:
     """The split in the metadata of weights, None if they were not trained with one."""
-    found = metadata.get("surfaces")
+    found = metadata.get("normal_labels")
     if found is None:
         return None
     return IdentitySplit(
@@ -137,7 +139,7 @@ def read_split(metadata: dict[str, Any]) -> IdentitySplit | None:
         found["fold"],
         tuple(found["learnt"]),
         tuple(found["held_back"]),
-        found.get("lamps_by", ""),
+        found.get("calibrated_by", ""),
         tuple(found.get("seen", ())),
     )
 
@@ -175,7 +177,7 @@ def load_training_subjects(
     faces = load_normal_labels(folder)
     index = read_index(folder)
     split = split_subjects([face.subject for face in faces], options, index["database"])
-    split = replace(split, lamps_by=index.get("lamps_by", ""))
+    split = replace(split, calibrated_by=index.get("calibrated_by", ""))
     return [_shown(face, view) for face in faces if face.subject in split.learnt], split
 
 

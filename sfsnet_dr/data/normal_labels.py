@@ -1,7 +1,7 @@
 """Labels by photometric stereo: a folder of faces with normals, albedo and known lights.
 
 A folder holds ``surfaces.json`` and one ``CAPTURE.safetensors`` a capture. ``surfaces.json`` has ``format``,
-``database``, ``oblique`` and ``strength`` (the gains of ``fit.strobes``), ``lamps_by`` (the network that
+``database``, ``oblique`` and ``strength`` (the gains of ``fit.strobes``), ``calibrated_by`` (the network that
 helped to find where the lamps were; empty where the database tells it), ``captures`` (name -> subject and
 SHA-256 of its file) and ``skipped`` (name -> reason). A capture's tensors, S = 128 pixels wide in the
 canonical frame, C = 1 for grey pictures and else 3:

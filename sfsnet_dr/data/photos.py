@@ -323,9 +323,9 @@ def rendered_stand_ins(
         held_back: pictures to measure on, of held faces.
         most: pictures to learn from.
     """
-    bank = draw_lights(augmentation.light, min(augmentation.lights, _LIGHTS), _SEED)
+    bank = draw_lights(augmentation.light, min(augmentation.num_lights, _LIGHTS), _SEED)
     parts = {
-        kind: RelitFaces(faces, 1, replace(augmentation, held_back=0), _SEED, bank)
+        kind: RelitFaces(faces, 1, replace(augmentation, num_val=0), _SEED, bank)
         for kind, faces in (("train", train), ("held", held))
     }
 

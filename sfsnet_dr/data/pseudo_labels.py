@@ -36,7 +36,7 @@ SHARD: Final = 256
 
 #: What a photograph's numbers are to a network: linear light, or the encoded values themselves. The latter is
 #: the paper's form, in which albedo times shading is to equal what the file holds.
-Values = Literal["linear", "display"]
+Encoding = Literal["linear", "srgb"]
 
 
 class Labels(NamedTuple):
@@ -102,7 +102,7 @@ def decode_labels(labels: Labels) -> Labels:
     )
 
 
-def as_network_input(images: Tensor, values: Values) -> Tensor:
+def as_network_input(images: Tensor, values: Encoding) -> Tensor:
     """Photographs (N, 3, S, S) uint8 as float32: decoded to linear light, or as they are."""
     shown = images.float() / 255
     return srgb_to_linear(shown) if values == "linear" else shown

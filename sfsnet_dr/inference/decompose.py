@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 import torch
@@ -15,7 +15,7 @@ from sfsnet_dr.core.color import srgb_to_linear
 from sfsnet_dr.core.errors import InputError, check_shape
 from sfsnet_dr.core.files import output_dir
 from sfsnet_dr.data.alignment import Eyes
-from sfsnet_dr.data.pseudo_labels import Values
+from sfsnet_dr.data.pseudo_labels import Encoding
 from sfsnet_dr.data.transforms.crop import WHOLE, Crop
 from sfsnet_dr.inference.methods import infer
 from sfsnet_dr.inference.outputs import Decomposition, write_decomposition
@@ -28,8 +28,6 @@ from sfsnet_dr.sh.coefficients import Shading
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
-
-Encoding = Literal["linear", "srgb"]
 
 
 @overload
@@ -178,11 +176,11 @@ def decompose_files(
 
 def decompose_photographs(loaded: LoadedModel, photographs: Sequence[Photograph]) -> list[Decomposition]:
     """Decompose photographs in the canonical frame; writes nothing."""
-    return run_network(loaded.model, photographs, view=loaded.view, values=loaded.values)
+    return run_network(loaded.model, photographs, view=loaded.crop, values=loaded.encoding)
 
 
 def run_network(
-    model: nn.Module, photographs: Sequence[Photograph], *, view: Crop = WHOLE, values: Values = "linear"
+    model: nn.Module, photographs: Sequence[Photograph], *, view: Crop = WHOLE, values: Encoding = "linear"
 ) -> list[Decomposition]:
     """Run any network on photographs in the canonical frame; writes nothing.
 
@@ -210,7 +208,7 @@ def run_network(
             light=Shading.from_flat(light[index]),
             shading=maps[2][index],
             reconstruction=maps[3][index],
-            values=values,
+            encoding=values,
         )
         for index, each in enumerate(photographs)
     ]

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from sfsnet_dr.core.color_torch import linear_to_srgb, srgb_to_linear
 from sfsnet_dr.core.conventions import FACE_SIZE, LIGHT_ORDER
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.data.pseudo_labels import Values
+from sfsnet_dr.data.pseudo_labels import Encoding
 from sfsnet_dr.data.transforms.camera import metering_gain
 from sfsnet_dr.data.transforms.crop import Crop
 from sfsnet_dr.models.base import NetworkOutput
@@ -142,16 +142,16 @@ class NetworkMethod:
     def __call__(self, images: Tensor, masks: Tensor, subjects: Sequence[str]) -> Prediction:
         """See ``Method``."""
         trained = self.trained
-        found, gain = infer(trained.model, images, masks, trained.view, trained.values, once=self.once)
+        found, gain = infer(trained.model, images, masks, trained.crop, trained.encoding, once=self.once)
         normal, albedo, light = found
         image = albedo * shading(normal, light)
-        if trained.values == "display":
+        if trained.encoding == "srgb":
             image, albedo = srgb_to_linear(image) / gain, srgb_to_linear(albedo.clamp_min(0))
         return Prediction(normal, albedo, light, image)
 
 
 def infer(
-    model: nn.Module, images: Tensor, masks: Tensor, view: Crop, values: Values, *, once: bool = False
+    model: nn.Module, images: Tensor, masks: Tensor, view: Crop, values: Encoding, *, once: bool = False
 ) -> tuple[NetworkOutput, Tensor]:
     """A network's answer at the resolution of the images, and the gains that it saw them with.
 
@@ -187,14 +187,14 @@ def infer(
     return NetworkOutput(found.normal, found.albedo, light), gain
 
 
-def _spread(model: nn.Module, images: Tensor, view: Crop, values: Values, once: bool) -> NetworkOutput:
+def _spread(model: nn.Module, images: Tensor, view: Crop, values: Encoding, once: bool) -> NetworkOutput:
     """Unit normals and albedo on the whole frame from a view of it; beyond the view the nearest answer."""
     try:
         small = view.apply(images).clamp(0, 1)
     except InputError as error:
         raise InputError(f"images: {error}, as the network was trained") from error
     answer = (predict if once else predict_with_flip_tta)(
-        model, linear_to_srgb(small) if values == "display" else small
+        model, linear_to_srgb(small) if values == "srgb" else small
     )
     normal, albedo = (view.invert(part, images.shape[-1]) for part in (answer.normal, answer.albedo))
     return NetworkOutput(unit(normal), albedo, answer.light)

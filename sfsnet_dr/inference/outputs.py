@@ -20,7 +20,7 @@ from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.core.files import output_dir
 from sfsnet_dr.core.image_io import write_exr, write_png
 from sfsnet_dr.core.visualize import Pixels, on_white, show_encoded, show_linear, show_normals
-from sfsnet_dr.data.pseudo_labels import Values
+from sfsnet_dr.data.pseudo_labels import Encoding
 from sfsnet_dr.inference.relight import VIEW_LIGHTS, relight, relit_views
 from sfsnet_dr.inference.sheet import draw_sheet
 from sfsnet_dr.scene.lights.light import Light
@@ -48,7 +48,7 @@ class Decomposition:
         light: shading coefficients.
         shading: Y(n)^T L (H, W, 3), not clamped.
         reconstruction: albedo times shading (H, W, 3), not clamped; decoded where that is encoded.
-        values: "display" if the network was trained in the paper's display-referred form: albedo times
+        encoding: "srgb" if the network was trained in the paper's display-referred form: albedo times
             shading is then the sRGB-encoded image, and both are shown as they are.
     """
 
@@ -60,7 +60,7 @@ class Decomposition:
     light: Shading
     shading: Array
     reconstruction: Array
-    values: Values = "linear"
+    encoding: Encoding = "linear"
 
     def relight(self, light: Light | Shading) -> NDArray[np.float64]:
         """Return the face under another light, by order-2 shading: no shadows, no interreflection.
@@ -81,7 +81,7 @@ class Decomposition:
         """
         shading = light.shading_label() if isinstance(light, Light) else light
         image = relight(self.normal, self.albedo, shading)
-        return image if self.values == "linear" else np.asarray(srgb_to_linear(image), np.float64)
+        return image if self.encoding == "linear" else np.asarray(srgb_to_linear(image), np.float64)
 
     def to_torch(self) -> dict[str, Tensor]:
         """Return the maps as float32 tensors: images (1, 3, H, W), mask (1, 1, H, W), light (1, 27)."""
@@ -110,7 +110,7 @@ def decomposition_pictures(face: Decomposition) -> dict[str, tuple[str, Pixels]]
 
     Shading is divided by its largest value on the face if that is above 1, so that it does not burn out.
     """
-    show = show_linear if face.values == "linear" else show_encoded
+    show = show_linear if face.encoding == "linear" else show_encoded
     peak = max(1.0, float((face.shading * face.mask[..., None]).max()))
     maps = {
         "normal": ("Normals", show_normals(face.normal)),
@@ -145,7 +145,7 @@ def write_decomposition(folder: Path | str, face: Decomposition, metadata: Mappi
             write_png(partial / f"{stem}.png", picture / 255.0, encoded=True)
         (partial / _SHEET).write_bytes(draw_sheet(list(shown.values()), title=face.name))
         light = json.dumps([float(value) for value in face.light.flat()])
-        strings = {**metadata, "sfsnet_dr:light": light, "sfsnet_dr:values": face.values}
+        strings = {**metadata, "sfsnet_dr:light": light, "sfsnet_dr:values": face.encoding}
         write_exr(partial / _EXR, _channels(face), strings)
     return target
 

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from sfsnet_dr.core.conventions import FACE_SIZE
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.data.pseudo_labels import Values
+from sfsnet_dr.data.pseudo_labels import Encoding
 from sfsnet_dr.data.transforms.crop import Crop
 from sfsnet_dr.data.transforms.mirror import mirror_light, mirror_map, mirror_normal
 from sfsnet_dr.models.base import Network, NetworkOutput
@@ -69,15 +69,15 @@ class LoadedModel:
 
     Attributes:
         model: in evaluation mode.
-        view: what it was shown of the frame, and with how many pixels; it answers best for that, and some
+        crop: what it was shown of the frame, and with how many pixels; it answers best for that, and some
             networks at no other size.
-        values: what a photograph's numbers are to it.
+        encoding: what a photograph's numbers are to it.
         metadata: everything that its file says.
     """
 
     model: Network
-    view: Crop
-    values: Values
+    crop: Crop
+    encoding: Encoding
     metadata: dict[str, Any]
 
 

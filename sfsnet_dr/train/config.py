@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Final, Literal
+from typing import ClassVar, Final, Literal
 
 import torch
 
@@ -69,31 +69,37 @@ class OptimiserRecipe:
 
     Args:
         learning_rate: the highest.
-        warm_up: steps in which it grows from 0.
-        last_share: share of it that is left at the last step; 1 keeps it constant.
+        warmup_steps: steps in which it grows from 0.
+        final_lr_ratio: share of it that is left at the last step; 1 keeps it constant.
         weight_decay: L2 penalty as in Adam, 0 for none.
-        largest_gradient: norm above which a gradient is scaled down to it.
+        max_grad_norm: norm above which a gradient is scaled down to it.
     """
 
+    RENAMED: ClassVar[dict[str, str]] = {
+        "warm_up": "warmup_steps",
+        "last_share": "final_lr_ratio",
+        "largest_gradient": "max_grad_norm",
+    }
+
     learning_rate: float = 1e-3
-    warm_up: int = 20
-    last_share: float = 0.01
+    warmup_steps: int = 20
+    final_lr_ratio: float = 0.01
     weight_decay: float = 0.0
-    largest_gradient: float = 1.0
+    max_grad_norm: float = 1.0
 
     def __post_init__(self) -> None:
-        _positive(self, "learning_rate", "largest_gradient")
-        _not_negative(self, "warm_up", "weight_decay")
-        if not 0 <= self.last_share <= 1:
-            raise InputError(f"last_share: {self.last_share} found, a share from 0 to 1 is needed")
+        _positive(self, "learning_rate", "max_grad_norm")
+        _not_negative(self, "warmup_steps", "weight_decay")
+        if not 0 <= self.final_lr_ratio <= 1:
+            raise InputError(f"last_share: {self.final_lr_ratio} found, a share from 0 to 1 is needed")
 
     def rate(self, step: int, steps: int) -> float:
         """Learning rate of step 0..steps-1: a function of the step alone, so nothing is to be resumed."""
-        if step < self.warm_up:
-            return self.learning_rate * (step + 1) / (self.warm_up + 1)
-        done = (step - self.warm_up) / max(steps - 1 - self.warm_up, 1)
+        if step < self.warmup_steps:
+            return self.learning_rate * (step + 1) / (self.warmup_steps + 1)
+        done = (step - self.warmup_steps) / max(steps - 1 - self.warmup_steps, 1)
         wave = 0.5 * (1 + math.cos(math.pi * done))
-        return self.learning_rate * (self.last_share + (1 - self.last_share) * wave)
+        return self.learning_rate * (self.final_lr_ratio + (1 - self.final_lr_ratio) * wave)
 
 
 @dataclass(frozen=True)
@@ -128,44 +134,50 @@ class Recipe:
         batch_size: images a step.
         seed: of the initial weights and of every batch.
         checkpoint_every: steps between two checkpoints; the last step always writes one.
-        pictures_every: steps between two pictures of what the network makes of a batch; 0 for none.
-        most_skipped: steps with a loss or gradient that is not finite before the run fails.
+        log_images_every: steps between two pictures of what the network makes of a batch; 0 for none.
+        max_skipped_steps: steps with a loss or gradient that is not finite before the run fails.
         model, data, optimiser, compute: the network, how rendered faces vary, Adam, and how it is computed.
         loss: weights of the terms; ``real_loss`` those of real faces.
         real: how photographs take part.
-        surfaces: how faces with labels by photometric stereo take part.
+        normal_labels: how faces with labels by photometric stereo take part.
 
     Raises:
         InputError: for a value out of its range.
     """
 
+    RENAMED: ClassVar[dict[str, str]] = {
+        "pictures_every": "log_images_every",
+        "most_skipped": "max_skipped_steps",
+        "surfaces": "normal_labels",
+    }
+
     steps: int
     batch_size: int = 8
     seed: int = 0
     checkpoint_every: int = 100
-    pictures_every: int = 0
-    most_skipped: int = 10
+    log_images_every: int = 0
+    max_skipped_steps: int = 10
     model: ModelRecipe = field(default_factory=ModelRecipe)
     data: Augmentation = field(default_factory=Augmentation)
     loss: LossWeights = field(default_factory=LossWeights)
     real: PseudoLabelOptions = field(default_factory=PseudoLabelOptions)
     real_loss: LossWeights = field(default_factory=LossWeights)
-    surfaces: NormalLabelOptions = added_field(_NO_SURFACES)  # noqa: RUF009 (frozen)
+    normal_labels: NormalLabelOptions = added_field(_NO_SURFACES)  # noqa: RUF009 (frozen)
     optimiser: OptimiserRecipe = field(default_factory=OptimiserRecipe)
     compute: ComputeRecipe = field(default_factory=ComputeRecipe)
 
     def __post_init__(self) -> None:
         _positive(self, "steps", "batch_size", "checkpoint_every")
-        _not_negative(self, "seed", "most_skipped", "pictures_every")
-        photographs, captures = self.real.count(self.batch_size), self.surfaces.count(self.batch_size)
+        _not_negative(self, "seed", "max_skipped_steps", "log_images_every")
+        photographs, captures = self.real.count(self.batch_size), self.normal_labels.count(self.batch_size)
         if photographs + captures >= self.batch_size:
             raise InputError(
-                f"real.share, surfaces.share: {photographs} and {captures} of {self.batch_size} images "
-                "found, rendered faces are needed too"
+                f"real.batch_fraction, normal_labels.batch_fraction: {photographs} and {captures} of "
+                f"{self.batch_size} images found, rendered faces are needed too"
             )
-        if captures and self.real.values != "linear":
+        if captures and self.real.encoding != "linear":
             raise InputError(
-                "real.values: 'display' found, 'linear' is needed: photometric stereo's labels are of linear "
+                "real.encoding: 'srgb' found, 'linear' is needed: photometric stereo's labels are of linear "
                 "light"
             )
 

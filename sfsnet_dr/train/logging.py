@@ -22,7 +22,7 @@ from sfsnet_dr.core.errors import InputError, NotInstalled
 from sfsnet_dr.core.image_io import write_png
 from sfsnet_dr.data.batch import FaceBatch
 from sfsnet_dr.data.mixed_batch import MixedBatch
-from sfsnet_dr.data.pseudo_labels import Values
+from sfsnet_dr.data.pseudo_labels import Encoding
 from sfsnet_dr.models.base import NetworkOutput
 from sfsnet_dr.models.inference import predict
 from sfsnet_dr.render.shading_torch import f_render, shading
@@ -118,7 +118,9 @@ class TensorBoardLogger:
 ROWS: Final = 4
 
 
-def write_sample_images(path: Path, model: nn.Module, batch: FaceBatch | MixedBatch, values: Values) -> None:
+def write_sample_images(
+    path: Path, model: nn.Module, batch: FaceBatch | MixedBatch, values: Encoding
+) -> None:
     """Write a PNG with a row for each face: image, normals, albedo, shading and product; then the labels'.
 
     Rendered faces come first, photographs with their pseudo-labels after them. The network answers as it
@@ -136,7 +138,7 @@ def write_sample_images(path: Path, model: nn.Module, batch: FaceBatch | MixedBa
     write_png(path, grid.permute(1, 2, 0).cpu().numpy(), encoded=True)
 
 
-def _columns(answer: NetworkOutput, mask: Tensor, values: Values) -> list[Tensor]:
+def _columns(answer: NetworkOutput, mask: Tensor, values: Encoding) -> list[Tensor]:
     shade = shading(answer.normal, answer.light)
     peak = (shade * mask).amax((1, 2, 3), keepdim=True).clamp_min(1)
     maps = [
@@ -148,6 +150,6 @@ def _columns(answer: NetworkOutput, mask: Tensor, values: Values) -> list[Tensor
     return [mask * part + (1 - mask) for part in maps]
 
 
-def _shown(image: Tensor, values: Values) -> Tensor:
+def _shown(image: Tensor, values: Encoding) -> Tensor:
     image = image.clamp(0, 1)
     return linear_to_srgb(image) if values == "linear" else image

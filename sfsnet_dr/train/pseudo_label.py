@@ -26,7 +26,7 @@ from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.core.files import output_dir
 from sfsnet_dr.core.provenance import sha256
 from sfsnet_dr.data.photos import PhotoSet, PhotoSource
-from sfsnet_dr.data.pseudo_labels import SHARD, LabelFolder, Labels, Values, as_network_input, encode_labels
+from sfsnet_dr.data.pseudo_labels import SHARD, Encoding, LabelFolder, Labels, as_network_input, encode_labels
 from sfsnet_dr.data.transforms.mirror import mirror_map
 from sfsnet_dr.models.base import NetworkOutput
 from sfsnet_dr.models.inference import load_model, mirror_output, predict
@@ -45,7 +45,7 @@ def pseudo_label(
     out: Path | str,
     *,
     size: int | None = None,
-    values: Values | None = None,
+    values: Encoding | None = None,
     on_shard: Callable[[int], object] = lambda _: None,
 ) -> dict[str, Any]:
     """Label photographs; a run that was stopped is gone on with.
@@ -66,12 +66,12 @@ def pseudo_label(
     """
     train = photographs.train
     trained = load_model(weights)
-    view = trained.view._replace(size=size or trained.view.size)
+    view = trained.crop._replace(size=size or trained.crop.size)
     spec: dict[str, Any] = {
         "weights": sha256(weights_path(weights)),
         "size": view.size,
         **({"crop": view.crop} if view.crop < FACE_SIZE else {}),
-        "values": values or trained.values,
+        "values": values or trained.encoding,
         "photographs": photographs.fingerprint,
     }
     folder = LabelFolder(output_dir(out), spec)
@@ -91,7 +91,7 @@ def pseudo_label(
     return folder.finish(len(shards), photographs.held, photographs.skipped)
 
 
-def label_photographs(model: nn.Module, photographs: PhotoSet, values: Values = "linear") -> Labels:
+def label_photographs(model: nn.Module, photographs: PhotoSet, values: Encoding = "linear") -> Labels:
     """Label photographs in memory."""
     if not len(photographs):
         raise InputError("photographs: none of a whole shard can be read; see whether their files are whole")

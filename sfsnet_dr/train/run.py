@@ -158,10 +158,10 @@ class TrainingRun:
             self._check_skipped(str(error), names)
         if self.done.step % self.recipe.checkpoint_every == 0:
             self.save()
-        every = self.recipe.pictures_every
+        every = self.recipe.log_images_every
         if every and self.done.step % every == 0 and self.team.is_main_process:
             path = self.folder / PICTURES.format(self.done.step)
-            write_sample_images(path, self.model, self.batches.batch(0), self.recipe.real.values)
+            write_sample_images(path, self.model, self.batches.batch(0), self.recipe.real.encoding)
         return texts
 
     def save(self) -> None:
@@ -215,11 +215,12 @@ class TrainingRun:
         )
 
     def _check_skipped(self, reason: str, names: list[str]) -> None:
-        if self.done.skipped > self.recipe.most_skipped:
+        if self.done.skipped > self.recipe.max_skipped_steps:
             self.save()
             raise RunError(
-                f"training: {self.done.skipped} steps were not finite ({self.recipe.most_skipped} allowed); "
-                f"the last, {self.done.step - 1}, had {reason} on {', '.join(names)}; lower the learning rate"
+                f"training: {self.done.skipped} steps were not finite ({self.recipe.max_skipped_steps} "
+                f"allowed); the last, {self.done.step - 1}, had {reason} on {', '.join(names)}; "
+                "lower the learning rate"
             )
 
 

@@ -61,10 +61,15 @@ def configure_sources(
         InputError: if folders and the recipe's shares do not belong together, for unusable labels, or if
             ``start`` knows of somebody what it must not, see ``_begun``.
     """
-    _together("real.share", recipe.real.share, labels, "--labels DIR (see `sfsnet-dr pseudo-label`)")
     _together(
-        "surfaces.share",
-        recipe.surfaces.share,
+        "real.batch_fraction",
+        recipe.real.batch_fraction,
+        labels,
+        "--labels DIR (see `sfsnet-dr pseudo-label`)",
+    )
+    _together(
+        "normal_labels.batch_fraction",
+        recipe.normal_labels.batch_fraction,
         surfaces,
         "--surfaces DIR (see `sfsnet-dr photometric-stereo`)",
     )
@@ -79,16 +84,16 @@ def configure_sources(
             )
         )
     if surfaces is not None:
-        faces, dealt = load_training_subjects(surfaces, recipe.surfaces, recipe.data.view)
+        faces, dealt = load_training_subjects(surfaces, recipe.normal_labels, recipe.data.view)
         split = _begun(dealt, start)
-        captures = recipe.surfaces.count(recipe.batch_size)
+        captures = recipe.normal_labels.count(recipe.batch_size)
         sources.append(
             SourceConfig(
                 captures,
-                lambda device: NormalLabelFaces(faces, captures, recipe.surfaces, recipe.seed, device),
+                lambda device: NormalLabelFaces(faces, captures, recipe.normal_labels, recipe.seed, device),
             )
         )
-        metadata = {"surfaces": split.metadata}
+        metadata = {"normal_labels": split.metadata}
     return RealSources(tuple(sources), metadata)
 
 
@@ -124,12 +129,12 @@ def _begun(split: IdentitySplit, start: Path | None) -> IdentitySplit:
     if before is None or before.database != split.database:
         return split
     known = sorted((set(before.learnt) | set(before.seen)) & set(split.held_back))
-    by_sight = bool(before.lamps_by) and not split.lamps_by
+    by_sight = bool(before.calibrated_by) and not split.calibrated_by
     if known and not by_sight:
         raise InputError(f"{start}: has learnt from {', '.join(known)}, whom this fold holds back")
-    if split.lamps_by and not before.lamps_by:
+    if split.calibrated_by and not before.calibrated_by:
         raise InputError(
             f"{start}: has learnt the true normals of {', '.join(before.learnt)}, which the weights would no "
-            f"longer tell after labels by {split.lamps_by}; start from weights without truth"
+            f"longer tell after labels by {split.calibrated_by}; start from weights without truth"
         )
     return replace(split, seen=tuple(known))

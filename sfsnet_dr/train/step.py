@@ -50,7 +50,7 @@ class CollapseMonitor:
     def __init__(self) -> None:
         self.means: dict[str, float] = {}
         self.seen = 0
-        self.told: set[str] = set()
+        self.reported: set[str] = set()
 
     def see(self, ratios: dict[str, float]) -> str:
         """Take the ratios of a step; a warning if a part has just collapsed, else nothing."""
@@ -60,8 +60,8 @@ class CollapseMonitor:
             self.means[name] = (1 - share) * self.means.get(name, 0.0) + share * ratio
         if self.seen < STEPS:
             return ""
-        fallen = [n for n in PARTS if self.means.get(n, 1.0) < SMALLEST and n not in self.told]
-        self.told.update(fallen)
+        fallen = [n for n in PARTS if self.means.get(n, 1.0) < SMALLEST and n not in self.reported]
+        self.reported.update(fallen)
         return "; ".join(self._warning(name) for name in fallen)
 
     def _warning(self, name: str) -> str:
@@ -121,7 +121,7 @@ def training_step(
         adam.zero_grad(set_to_none=True)
         total.backward()  # type: ignore[no-untyped-call]
         team.sum_gradients(model)
-        norm = nn.utils.clip_grad_norm_(model.parameters(), recipe.optimiser.largest_gradient)
+        norm = nn.utils.clip_grad_norm_(model.parameters(), recipe.optimiser.max_grad_norm)
         shares = {f"{name}_spread": total.new_tensor(r / team.size) for name, r in ratios.items()}
         names = [*terms, *shares]
         sums = team.sum(torch.stack([*terms.values(), *shares.values()]).detach())

@@ -79,9 +79,10 @@ def train(
         recipe: everything that decides the result; it is stored with the weights.
         data: folder with ``manifest.jsonl``, or several.
         out: folder for weights, history and checkpoint; made if missing.
-        labels: folder of pseudo-labelled photographs, needed where the recipe's ``real.share`` is above 0.
-        surfaces: folder of labels by photometric stereo, needed where ``surfaces.share`` is above 0; who is
-            held back is stored with the weights.
+        labels: folder of pseudo-labelled photographs, needed where the recipe's ``real.batch_fraction`` is
+            above 0.
+        surfaces: folder of labels by photometric stereo, needed where ``normal_labels.batch_fraction`` is
+            above 0; who is held back is stored with the weights.
         resume: go on from the checkpoint in ``out``. On one machine with one number of threads this gives
             the same bits as a run that was never stopped.
         progress: show a bar with the loss, images a second and the time left.
@@ -98,7 +99,7 @@ def train(
     folder = output_dir(out)
     if not resume and (folder / CHECKPOINT).exists():
         raise InputError(f"{folder}: holds a run already; go on with --resume or choose another folder")
-    faces = load_faces(data, recipe.data.view, held_back=recipe.data.held_back)
+    faces = load_faces(data, recipe.data.view, held_back=recipe.data.num_val)
     with join_process_group(recipe.compute.device) as team:
         batches = _batches(recipe, faces, real, folder, team, progress)
         keep_freed_memory()  # from here on all steps need the same; what loading needed is given back
@@ -135,9 +136,9 @@ def _batches(
 def _bank(recipe: Recipe, folder: Path, progress: bool) -> LightCache:
     wanted = recipe.data
     with _bar(progress, transient=True) as bar:
-        task = bar.add_task("drawing lights", total=wanted.lights, loss="", speed="")
+        task = bar.add_task("drawing lights", total=wanted.num_lights, loss="", speed="")
         return load_or_draw_lights(
-            folder / LIGHTS, wanted.light, wanted.lights, recipe.seed, lambda: bar.advance(task)
+            folder / LIGHTS, wanted.light, wanted.num_lights, recipe.seed, lambda: bar.advance(task)
         )
 
 

@@ -26,14 +26,14 @@ from sfsnet_dr.scene.lights.light import Light
 from sfsnet_dr.scene.lights.spec import LightSpec
 from sfsnet_dr.sh.basis import sh_basis
 
-NO_PHOTO = PhotoOptions(0, 0, 0, 0, jpeg=0, grey=0)
+NO_PHOTO = PhotoOptions(0, 0, 0, 0, jpeg=0, grayscale_prob=0)
 NO_LIGHT = LightSpec(hdr=0, sun_sky=0, studio=0, directional=0, ambient=0)
 #: Soft lights, so dim that nothing clips; only the light varies.
 PLAIN = Augmentation(
-    flip=0.0, lights=12, light=replace(NO_LIGHT, lobes=1, exposure=(0.1, 0.2)), photo=NO_PHOTO
+    flip=0.0, num_lights=12, light=replace(NO_LIGHT, lobes=1, exposure=(0.1, 0.2)), photo=NO_PHOTO
 )
 #: Everything that is quick to draw.
-RICH = Augmentation(lights=12, light=replace(NO_LIGHT, lobes=1, directional=1))
+RICH = Augmentation(num_lights=12, light=replace(NO_LIGHT, lobes=1, directional=1))
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def faces(tmp_path_factory: pytest.TempPathFactory) -> Faces:
 
 @pytest.mark.parametrize("flip", [0.0, 1.0])
 def test_the_labels_explain_the_image(faces: Faces, flip: float) -> None:
-    gain = PhotoOptions(exposure=1.0, white_balance=0.3, blur=0, noise=0, jpeg=0, grey=0)
+    gain = PhotoOptions(exposure=1.0, white_balance=0.3, blur=0, noise=0, jpeg=0, grayscale_prob=0)
     batch = RelitFaces(faces, 4, replace(PLAIN, flip=flip, photo=gain), seed=1).batch(3).check()
     normal = np.moveaxis(batch.normal.numpy().astype(np.float64), 1, -1)
     light = batch.light.numpy().reshape(4, 3, 9)
@@ -100,7 +100,7 @@ def test_a_flipped_batch_is_that_of_the_mirrored_faces(faces: Faces) -> None:
 
 
 def test_grey_pictures_have_grey_answers(faces: Faces) -> None:
-    grey = PhotoOptions(0, 0, 0, 0, jpeg=0, grey=1.0)
+    grey = PhotoOptions(0, 0, 0, 0, jpeg=0, grayscale_prob=1.0)
     batch = RelitFaces(faces, 3, replace(PLAIN, photo=grey), seed=1).batch(0)
     colourful = RelitFaces(faces, 3, PLAIN, seed=1).batch(0)
     for values in (batch.image, batch.albedo, batch.light.reshape(3, 3, 9)):
@@ -165,7 +165,7 @@ def test_background_fills_what_the_face_does_not_cover(faces: Faces) -> None:
 
 def test_the_cameras_gain_is_in_the_light(faces: Faces) -> None:
     plain = RelitFaces(faces, 40, PLAIN, seed=1).batch(0).light.reshape(40, 3, 9)
-    gain = PhotoOptions(exposure=1.0, white_balance=0.2, blur=0, noise=0, jpeg=0, grey=0)
+    gain = PhotoOptions(exposure=1.0, white_balance=0.2, blur=0, noise=0, jpeg=0, grayscale_prob=0)
     varied = RelitFaces(faces, 40, replace(PLAIN, photo=gain), seed=1).batch(0).light.reshape(40, 3, 9)
     stops = (varied / plain).log2().median(2, keepdim=True).values
     torch.testing.assert_close(varied, plain * 2**stops, rtol=1e-5, atol=1e-6)  # float32

@@ -39,7 +39,7 @@ TINY = SceneSpec(
     "anny",
     camera=CameraSpec(size=24),
     head=HeadSpec(subdivision=0),
-    sampling=SamplingSpec(transport=32, reference=16),
+    sampling=SamplingSpec(spp=32, reference_spp=16),
 )
 
 #: A process that fills a folder quickly, with copies of one bundle that differ by seed.
@@ -110,7 +110,7 @@ LAMPS_ONLY = LightSpec(hdr=0, sun_sky=0, studio=0, directional=1, ambient=0)
 
 
 def test_the_reference_is_lit_as_the_scene_says() -> None:
-    lit = replace(TINY, light=LAMPS_ONLY, sampling=replace(TINY.sampling, reference=256))
+    lit = replace(TINY, light=LAMPS_ONLY, sampling=replace(TINY.sampling, reference_spp=256))
     bundle, lobes = generate.render_bundle(lit, 5), generate.render_bundle(TINY, 5)
     assert bundle.meta.spec_hash != lobes.meta.spec_hash
     assert bundle.meta.extra["light"]["kind"] == "directional"

@@ -15,7 +15,7 @@ from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.data.batch import FaceBatch
 from sfsnet_dr.data.dataset import RelitFaces, load_faces
 from sfsnet_dr.data.mixed_batch import MixedBatch, MixedFaces, PseudoLabelOptions, RealBatch, RealFaces
-from sfsnet_dr.data.pseudo_labels import LabelFolder, PseudoFaces, Values, encode_labels, load_pseudo_labels
+from sfsnet_dr.data.pseudo_labels import Encoding, LabelFolder, PseudoFaces, encode_labels, load_pseudo_labels
 from sfsnet_dr.data.transforms.background import Augmentation
 from sfsnet_dr.losses.sfsnet import LossWeights, mixed_loss, sfsnet_loss
 from sfsnet_dr.models.base import NetworkOutput
@@ -30,13 +30,13 @@ RECIPE = Recipe(
     batch_size=4,
     checkpoint_every=3,
     model=ModelRecipe(stem=4, features=8, blocks=1),
-    data=Augmentation(lights=4),
-    real=PseudoLabelOptions(share=0.5),
+    data=Augmentation(num_lights=4),
+    real=PseudoLabelOptions(batch_fraction=0.5),
     compute=ComputeRecipe(precision="float32", loss_backend="torch"),
 )
 
 
-def write_labels(folder: Path, count: int = 5, size: int = 16, values: Values = "linear") -> Path:
+def write_labels(folder: Path, count: int = 5, size: int = 16, values: Encoding = "linear") -> Path:
     """Photographs that their own labels render exactly, up to the rounding of both."""
     folder.mkdir()
     generator = torch.Generator().manual_seed(3)
@@ -72,11 +72,11 @@ def misfit(batch: FaceBatch) -> float:
     return float((f_render(batch.normal, batch.albedo, batch.light) - batch.image).abs().mean())
 
 
-@pytest.mark.parametrize("values", ["linear", "display"])
-def test_flips_and_exposure_keep_labels_and_photographs_together(values: Values, tmp_path: Path) -> None:
+@pytest.mark.parametrize("values", ["linear", "srgb"])
+def test_flips_and_exposure_keep_labels_and_photographs_together(values: Encoding, tmp_path: Path) -> None:
     """Whatever happens to a photograph, its labels still render it: 8-bit rounding leaves .006 at most."""
     faces = load_pseudo_labels(write_labels(tmp_path / "labels", values=values))
-    options = PseudoLabelOptions(flip=0.5, darker=2.0, values=values)
+    options = PseudoLabelOptions(flip=0.5, exposure_stops=2.0, encoding=values)
     real = RealFaces(faces, 4, options, seed=0)
     for step in range(3):
         batch = real.batch(step).faces
@@ -88,8 +88,8 @@ def test_batches_are_functions_of_the_step(labels: Path, spheres: Path) -> None:
     faces, real = load_faces(spheres), load_pseudo_labels(labels)
 
     def mixed(seed: int) -> MixedFaces:
-        rendered = RelitFaces(faces, 2, Augmentation(lights=4), seed)
-        return MixedFaces(rendered, RealFaces(real, 2, PseudoLabelOptions(share=0.5), seed))
+        rendered = RelitFaces(faces, 2, Augmentation(num_lights=4), seed)
+        return MixedFaces(rendered, RealFaces(real, 2, PseudoLabelOptions(batch_fraction=0.5), seed))
 
     first, second = mixed(0), mixed(0)
     for step in (3, 0):  # in any order
@@ -119,8 +119,8 @@ def guess(batch: MixedBatch) -> NetworkOutput:
 
 
 def test_the_loss_is_the_mean_over_faces_and_trusts_as_told(labels: Path, spheres: Path) -> None:
-    rendered = RelitFaces(load_faces(spheres), 3, Augmentation(lights=4), 0)
-    real = RealFaces(load_pseudo_labels(labels), 1, PseudoLabelOptions(share=0.25), 0)
+    rendered = RelitFaces(load_faces(spheres), 3, Augmentation(num_lights=4), 0)
+    real = RealFaces(load_pseudo_labels(labels), 1, PseudoLabelOptions(batch_fraction=0.25), 0)
     batch = MixedFaces(rendered, real).batch(0)
     weights, real_weights = LossWeights(), LossWeights(recon=2.0, normal=1.0)
     total, first, second = mixed_loss(guess(batch), batch, weights, real_weights, "torch")
@@ -170,9 +170,9 @@ def other_size(folder: Path) -> PseudoFaces:
 
 def test_bad_mixtures_are_told(labels: Path, spheres: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"real\.share: 0\.1 of 4 images is 0"):
-        replace(RECIPE, real=PseudoLabelOptions(share=0.1))
+        replace(RECIPE, real=PseudoLabelOptions(batch_fraction=0.1))
     with pytest.raises(InputError, match=r"real\.share: 1\.5 found, 0 to 1 allowed"):
-        PseudoLabelOptions(share=1.5)
+        PseudoLabelOptions(batch_fraction=1.5)
     with pytest.raises(InputError, match=r"real\.share: 0\.5 in the recipe and no folder of labels"):
         train(RECIPE, spheres, tmp_path / "out", progress=False)
     with pytest.raises(InputError, match=r"real\.share: 0 in the recipe and the labels of"):
@@ -184,8 +184,8 @@ def test_bad_mixtures_are_told(labels: Path, spheres: Path, tmp_path: Path) -> N
             progress=False,
         )
     with pytest.raises(InputError, match="'display' found, the pseudo-labels were made with 'linear'"):
-        RealFaces(load_pseudo_labels(labels), 2, PseudoLabelOptions(values="display"), 0)
-    rendered = RelitFaces(load_faces(spheres), 2, Augmentation(lights=4), 0)
+        RealFaces(load_pseudo_labels(labels), 2, PseudoLabelOptions(encoding="srgb"), 0)
+    rendered = RelitFaces(load_faces(spheres), 2, Augmentation(num_lights=4), 0)
     with pytest.raises(InputError, match=r"8 x 8 pixels found, 16 x 16"):
         MixedFaces(rendered, RealFaces(other_size(tmp_path), 2, PseudoLabelOptions(), 0))
     other = tmp_path / "other"

@@ -42,8 +42,8 @@ RECIPE = Recipe(
     batch_size=4,
     checkpoint_every=2,
     model=ModelRecipe(stem=4, features=8, blocks=1),
-    data=Augmentation(lights=4, size=SIZE),
-    surfaces=NormalLabelOptions(share=0.5, folds=2),
+    data=Augmentation(num_lights=4, size=SIZE),
+    normal_labels=NormalLabelOptions(batch_fraction=0.5, folds=2),
     compute=ComputeRecipe(precision="float32", loss_backend="torch"),
 )
 
@@ -85,7 +85,7 @@ def test_batches_are_functions_of_the_step_and_see_every_picture() -> None:
 )
 @settings(max_examples=60, deadline=None)
 def test_a_split_never_leaks(names: set[str], folds: int, fold: int) -> None:
-    options = NormalLabelOptions(share=0.5, folds=folds, fold=fold % folds)
+    options = NormalLabelOptions(batch_fraction=0.5, folds=folds, fold=fold % folds)
     try:
         split = split_subjects(names, options, "x")
     except InputError:
@@ -101,7 +101,7 @@ def test_a_split_never_leaks(names: set[str], folds: int, fold: int) -> None:
 def test_training_sees_no_picture_of_anybody_held_back(surfaces: Path) -> None:
     seen = set()
     for fold in range(2):
-        options = NormalLabelOptions(share=0.5, folds=2, fold=fold)
+        options = NormalLabelOptions(batch_fraction=0.5, folds=2, fold=fold)
         faces, split = load_training_subjects(surfaces, options, Crop(8))
         batches = NormalLabelFaces(faces, 4, options, seed=0)
         assert batches.pixels == (8, 8)
@@ -186,14 +186,14 @@ def test_a_fine_tuning_is_resumed_to_the_bit_and_tells_its_split(
     )
     assert cut.weights.read_bytes() == whole.weights.read_bytes()
     split = read_split(read_metadata(whole.weights))
-    assert split == split_subjects(SUBJECTS, RECIPE.surfaces, "balls")
-    other = replace(RECIPE, surfaces=replace(RECIPE.surfaces, fold=1))
+    assert split == split_subjects(SUBJECTS, RECIPE.normal_labels, "balls")
+    other = replace(RECIPE, normal_labels=replace(RECIPE.normal_labels, fold=1))
     with pytest.raises(InputError, match=r"has learnt from .*, whom this fold holds back"):
         train(other, spheres, tmp_path / "o", surfaces=surfaces, start=whole.weights, progress=False)
 
 
 def test_one_part_holds_nobody_back(surfaces: Path) -> None:
-    faces, split = load_training_subjects(surfaces, NormalLabelOptions(share=0.5, folds=1))
+    faces, split = load_training_subjects(surfaces, NormalLabelOptions(batch_fraction=0.5, folds=1))
     assert [face.subject for face in faces] == list(split.learnt) == list(SUBJECTS)
     assert split.held_back == ()
 
@@ -204,13 +204,15 @@ def test_weights_tell_whose_pictures_and_whose_truth_they_know(surfaces: Path, t
     def weights(folds: int, fold: int, lamps_by: str) -> Path:
         split = split_subjects(SUBJECTS, NormalLabelOptions(folds=folds, fold=fold), "balls")
         path = tmp_path / f"{folds}-{fold}-{lamps_by}.safetensors"
-        save_weights(path, RECIPE.make_model(), {"surfaces": replace(split, lamps_by=lamps_by).metadata})
+        save_weights(
+            path, RECIPE.make_model(), {"normal_labels": replace(split, calibrated_by=lamps_by).metadata}
+        )
         return path
 
     def begun(start: Path, surfaces: Path = surfaces) -> IdentitySplit | None:
         return read_split(configure_sources(RECIPE, None, surfaces, start).metadata)
 
-    dealt = split_subjects(SUBJECTS, RECIPE.surfaces, "balls")
+    dealt = split_subjects(SUBJECTS, RECIPE.normal_labels, "balls")
     assert begun(weights(1, 0, "skipnet")) == replace(dealt, seen=dealt.held_back)
     assert begun(weights(2, 0, "skipnet")) == begun(weights(2, 0, "")) == dealt
     with pytest.raises(InputError, match=r"has learnt from .*, whom this fold holds back"):
@@ -226,7 +228,7 @@ def test_weights_tell_whose_pictures_and_whose_truth_they_know(surfaces: Path, t
 
 def test_bad_fine_tunings_are_told(surfaces: Path, spheres: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"surfaces: 1 subject found, two are needed"):
-        load_training_subjects(write_faces(tmp_path / "one", SUBJECTS[:1]), RECIPE.surfaces)
+        load_training_subjects(write_faces(tmp_path / "one", SUBJECTS[:1]), RECIPE.normal_labels)
     alike = [n for n in (f"p{k}" for k in range(40)) if fold_of(n, 2) == 0]
     with pytest.raises(InputError, match=r"all of .* subjects would be held back by fold 0 of 2"):
         split_subjects(alike, NormalLabelOptions(folds=2), "x")
@@ -237,16 +239,16 @@ def test_bad_fine_tunings_are_told(surfaces: Path, spheres: Path, tmp_path: Path
     with pytest.raises(InputError, match=r"surfaces\.share: 0\.5 in the recipe and no folder of labels"):
         train(RECIPE, spheres, tmp_path / "out", progress=False)
     with pytest.raises(InputError, match="2 and 2 of 4 images found, rendered faces are needed too"):
-        replace(RECIPE, real=PseudoLabelOptions(share=0.5))
+        replace(RECIPE, real=PseudoLabelOptions(batch_fraction=0.5))
     with pytest.raises(InputError, match="'display' found, 'linear' is needed"):
-        replace(RECIPE, real=PseudoLabelOptions(values="display"))
+        replace(RECIPE, real=PseudoLabelOptions(encoding="srgb"))
     with pytest.raises(InputError, match=r"16 x 16 pixels found, a square of 22 .*; see data\.size"):
-        load_training_subjects(surfaces, RECIPE.surfaces, Crop(16, 96))
+        load_training_subjects(surfaces, RECIPE.normal_labels, Crop(16, 96))
     older = write_faces(tmp_path / "older", SUBJECTS[:2])
     index = json.loads((older / "surfaces.json").read_text()) | {"format": "sfsnet_dr.surfaces.0"}
     (older / "surfaces.json").write_text(json.dumps(index))
     with pytest.raises(InputError, match=r"format 'sfsnet_dr\.surfaces\.0' found"):
-        load_training_subjects(older, RECIPE.surfaces)
+        load_training_subjects(older, RECIPE.normal_labels)
     (tmp_path / "r.toml").write_text("steps = 1\n[surfaces]\nfoldz = 3\n")
     with pytest.raises(InputError, match="unknown key 'foldz'"):
         read_recipe(tmp_path / "r.toml")
@@ -255,4 +257,4 @@ def test_bad_fine_tunings_are_told(surfaces: Path, spheres: Path, tmp_path: Path
 @pytest.mark.parametrize("kind", ["small", "full"])
 def test_the_recipes_are_read(kind: str) -> None:
     recipe = read_recipe(Path(__file__).parents[2] / "training" / "recipes" / kind / "sfsnet-ft.toml")
-    assert recipe.surfaces.share == 0.5
+    assert recipe.normal_labels.batch_fraction == 0.5

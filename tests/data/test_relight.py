@@ -172,7 +172,7 @@ def test_one_call_relights_with_all_that_a_bundle_knows() -> None:
 def test_one_call_takes_a_photograph() -> None:
     bundle = sphere_bundle(1)
     light = Light("room", np.full((64, 128, 3), 0.5))
-    photo = PhotoOptions(exposure=0.0, white_balance=0.0, blur=0.0, noise=0.0, jpeg=0.0, grey=0.0)
+    photo = PhotoOptions(exposure=0.0, white_balance=0.0, blur=0.0, noise=0.0, jpeg=0.0, grayscale_prob=0.0)
     plain, taken = relight_bundle(bundle, light), relight_bundle(bundle, light, photo)
     covered = bundle.coverage == 1
     np.testing.assert_allclose(taken[covered], plain[covered], atol=1e-6)  # float32

@@ -157,7 +157,7 @@ def oracle(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_database_is_told_where_its_lamps_were(tmp_path: Path, oracle: None) -> None:
     known = list_yale_b(write_yale_b(tmp_path / "yale", 2))
     found = calibrate_image_sets(read_image_sets(known), "skipnet").listing
-    assert found.lamps_by == "skipnet"
+    assert found.calibrated_by == "skipnet"
     told = light_direction_errors(known, found)
     assert len(told) == len(ANGLES)
     assert max(told.values()) < 1.0  # 8 bits, and a frame interpolated from another
@@ -174,17 +174,17 @@ def test_labels_without_known_lamps_are_nearly_those_with(
         assert ("stereo.yale_b.lamps_found_deg" in records) == bool(more)
     assert records["stereo.yale_b.lamps_found"] == len(ANGLES)
     assert records["stereo.yale_b.lamps_found_deg"] < 1.0
-    assert read_index(tmp_path / "known")["lamps_by"] == ""
-    assert read_index(tmp_path / "found")["lamps_by"] == "skipnet"
+    assert read_index(tmp_path / "known")["calibrated_by"] == ""
+    assert read_index(tmp_path / "found")["calibrated_by"] == "skipnet"
     for one, other in zip(
         load_normal_labels(tmp_path / "known"), load_normal_labels(tmp_path / "found"), strict=True
     ):
         mask = (one.mask[0] > 0.5).numpy()
         a, b = (part.normal.permute(1, 2, 0).double().numpy()[mask] for part in (one, other))
         assert angles_deg(a, b).mean() < 1.0
-    _, split = load_training_subjects(tmp_path / "found", NormalLabelOptions(share=0.5, folds=2))
-    assert split.lamps_by == "skipnet"
-    assert read_split({"surfaces": split.metadata}) == split
+    _, split = load_training_subjects(tmp_path / "found", NormalLabelOptions(batch_fraction=0.5, folds=2))
+    assert split.calibrated_by == "skipnet"
+    assert read_split({"normal_labels": split.metadata}) == split
 
 
 def test_how_steep_faces_are_is_told_by_heads(
@@ -237,6 +237,6 @@ def test_a_network_is_asked(tmp_path: Path) -> None:
     save_weights(tmp_path / "w.safetensors", SfSNet(4, 4, 1), {"recipe": {"data": {"size": 32}}})
     known = list_yale_b(write_yale_b(tmp_path / "yale", 1))
     found = calibrate_image_sets(read_image_sets(known), tmp_path / "w.safetensors").listing
-    assert found.lamps_by == "w"
+    assert found.calibrated_by == "w"
     told = light_direction_errors(known, found)
     assert not told or np.mean(list(told.values())) > 5

@@ -22,7 +22,7 @@ TINY = SceneSpec(
     "anny",
     camera=CameraSpec(size=24),
     head=HeadSpec(subdivision=0, yaw=20.0),
-    sampling=SamplingSpec(transport=32, reference=16),
+    sampling=SamplingSpec(spp=32, reference_spp=16),
 )
 BUNDLE = "face-000000.exr"
 

@@ -41,5 +41,5 @@ def write_faces(
     rows = {
         name: {"subject": name, "sha256": write_normal_labels(folder, face(name, size))} for name in subjects
     }
-    write_index(folder, "balls", {"oblique": 0.0, "strength": {}, "lamps_by": lamps_by}, rows, {})
+    write_index(folder, "balls", {"oblique": 0.0, "strength": {}, "calibrated_by": lamps_by}, rows, {})
     return folder

@@ -197,7 +197,7 @@ def test_display_referred_weights_see_and_explain_the_encoded_picture(tmp_path: 
     model = SfSNet(4, 4, 1).eval()
     *_, bias = model.normal_head.parameters()
     torch.nn.init.constant_(bias, 0.5)
-    save_weights(weights, model, recipe_metadata(128, "display"))
+    save_weights(weights, model, recipe_metadata(128, "srgb"))
     [face] = decompose_files([picture], tmp_path / "out", weights)
     encoded = linear_to_srgb(read_image(picture).pixels)
     result = predict_with_flip_tta(
@@ -211,7 +211,7 @@ def test_display_referred_weights_see_and_explain_the_encoded_picture(tmp_path: 
     expected = np.average(255 * np.abs(np.clip(shown, 0, 1) - encoded), weights=inside)
     assert reconstruction_error(face) == pytest.approx(expected, rel=1e-6)
     _, strings = read_exr(tmp_path / "out/face/decomposition.exr")
-    assert strings["sfsnet_dr:values"] == "display"
+    assert strings["sfsnet_dr:values"] == "srgb"
     albedo = linear_to_srgb(read_image(tmp_path / "out/face/albedo.png").pixels)
     centre = (64, 64)
     np.testing.assert_allclose(albedo[centre], np.clip(face.albedo[centre], 0, 1), atol=0.5 / 255)

@@ -45,7 +45,7 @@ MODELS[4] += ["drjit-order4-visibility", "drjit-order4-bounce"]
 
 @cache
 def ball() -> Subject:
-    spec = SceneSpec("ball", "sphere", sampling=SamplingSpec(transport=64, paths=1))
+    spec = SceneSpec("ball", "sphere", sampling=SamplingSpec(spp=64, paths_per_hit=1))
     return Subject(spec, 0, sphere_mesh(), CameraSpec(size=48))
 
 

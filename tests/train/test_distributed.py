@@ -175,9 +175,9 @@ def test_two_processes_give_the_result_of_one(tmp_path: Path) -> None:
 
 def test_parts_of_a_batch_are_the_batch(tmp_path: Path) -> None:
     """To the bit, with every effect of a camera."""
-    photo = PhotoOptions(blur=2.0, jpeg=0.5, grey=0.3)
+    photo = PhotoOptions(blur=2.0, jpeg=0.5, grayscale_prob=0.3)
     relit = RelitFaces(
-        load_faces(write_spheres(tmp_path / "faces", 3)), 4, Augmentation(lights=4, photo=photo), 0
+        load_faces(write_spheres(tmp_path / "faces", 3)), 4, Augmentation(num_lights=4, photo=photo), 0
     )
     real = RealFaces(load_pseudo_labels(write_labels(tmp_path / "labels")), 2, RECIPE.real, 0)
     mixed = MixedFaces(relit, real)

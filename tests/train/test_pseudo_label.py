@@ -162,7 +162,9 @@ def test_labels_show_as_much_of_the_frame_as_their_network_saw(tmp_path: Path) -
     assert found.spec["crop"] == 96
     assert torch.equal(found.labels.mask, source.load(found.names, Crop(16, 96)).masks)
     assert not torch.equal(found.labels.mask, source.load(found.names, Crop(16)).masks)
-    recipe = Recipe(steps=1, batch_size=4, data=Augmentation(size=16), real=PseudoLabelOptions(share=0.5))
+    recipe = Recipe(
+        steps=1, batch_size=4, data=Augmentation(size=16), real=PseudoLabelOptions(batch_fraction=0.5)
+    )
     with pytest.raises(InputError, match=r"labels of 96 of .* pixels found, data\.crop 128 is needed"):
         configure_sources(recipe, tmp_path / "out", None, None)
     middle = replace(recipe, data=replace(recipe.data, crop=96))

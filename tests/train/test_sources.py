@@ -44,7 +44,10 @@ def test_photographs_and_captures_are_learnt_from_together(
 ) -> None:
     labels = write_labels(tmp_path / "labels", size=SIZE)
     recipe = replace(
-        RECIPE, real=PseudoLabelOptions(share=0.25), surfaces=replace(RECIPE.surfaces, share=0.25), steps=2
+        RECIPE,
+        real=PseudoLabelOptions(batch_fraction=0.25),
+        normal_labels=replace(RECIPE.normal_labels, batch_fraction=0.25),
+        steps=2,
     )
     part = configure_sources(recipe, labels, surfaces, None)
     assert part.counts == (1, 1)

@@ -22,7 +22,9 @@ def batch(tmp_path_factory: pytest.TempPathFactory) -> FaceBatch:
     """Four relit spheres of 16 x 16."""
     faces = load_faces(write_spheres(tmp_path_factory.mktemp("faces"), 4))
     light = LightSpec(hdr=0, sun_sky=0, studio=0, directional=0, ambient=0, lobes=1)
-    augmentation = Augmentation(lights=4, light=light, photo=PhotoOptions(noise=0.0, jpeg=0.0, grey=0.0))
+    augmentation = Augmentation(
+        num_lights=4, light=light, photo=PhotoOptions(noise=0.0, jpeg=0.0, grayscale_prob=0.0)
+    )
     return RelitFaces(faces, 4, augmentation, seed=0).batch(0)
 
 

@@ -35,7 +35,7 @@ RECIPE = Recipe(
     checkpoint_every=4,
     model=ModelRecipe(stem=4, features=8, blocks=1),
     data=Augmentation(
-        lights=4, light=LightSpec(hdr=0, sun_sky=0, studio=0, directional=1, ambient=0, lobes=1)
+        num_lights=4, light=LightSpec(hdr=0, sun_sky=0, studio=0, directional=1, ambient=0, lobes=1)
     ),
     compute=ComputeRecipe(precision="float32", loss_backend="torch"),
 )
@@ -194,7 +194,7 @@ def test_too_many_such_steps_end_the_run(
         "sfsnet_dr.train.run.training_step", lambda *_: fail(NonFiniteError("total not finite"))()
     )
     with pytest.raises(RunError, match=r"3 steps were not finite \(2 allowed\); the last, 2, had total"):
-        train(replace(RECIPE, most_skipped=2), spheres, tmp_path, progress=False)
+        train(replace(RECIPE, max_skipped_steps=2), spheres, tmp_path, progress=False)
 
 
 def test_a_failure_leaves_no_bar_in_a_log(
@@ -271,7 +271,7 @@ def test_a_killed_run_ends_as_one_that_was_not(spheres: Path, whole: Path, tmp_p
 def test_pictures_are_drawn_every_so_often_and_change_nothing(
     spheres: Path, whole: Path, tmp_path: Path
 ) -> None:
-    train(replace(RECIPE, pictures_every=4), spheres, tmp_path, progress=False)
+    train(replace(RECIPE, log_images_every=4), spheres, tmp_path, progress=False)
     assert sorted(path.name for path in tmp_path.glob("*.png")) == [
         "pictures-000004.png",
         "pictures-000008.png",

@@ -70,7 +70,8 @@ class Listing:
         photos: usable ones; at least one.
         skipped: files that cannot be used, with the reason.
         linear: whether the files hold linear light instead of sRGB-encoded values; 8 bits are then needed.
-        lamps_by: the network with whose help the directions were found; empty where the database tells them.
+        calibrated_by: the network with whose help the directions were found; empty where the database tells
+            them.
     """
 
     database: str
@@ -78,7 +79,7 @@ class Listing:
     photos: tuple[FacePhoto, ...]
     skipped: tuple[SkippedPhotos, ...]
     linear: bool = False
-    lamps_by: str = ""
+    calibrated_by: str = ""
 
     def __post_init__(self) -> None:
         if not self.photos:

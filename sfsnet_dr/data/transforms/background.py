@@ -6,7 +6,7 @@ What varies between the training images of one face: its light, what is behind i
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 import torch
@@ -94,10 +94,10 @@ class Augmentation:
     Args:
         size: width and height of the images; None keeps the bundles'.
         crop: how much of the frame they show: a square in its middle, in canonical pixels (of 128).
-        held_back: bundles that are not trained on, to measure with.
+        num_val: bundles that are not trained on, to measure with.
         flip: probability of a left-right reflection.
-        lights: how many lights are drawn before the first step and then used again, each time turned, white-
-            balanced and exposed anew.
+        num_lights: how many lights are drawn before the first step and then used again, each time turned,
+            white- balanced and exposed anew.
         light: their kinds, and the ranges of exposure and white balance.
         photo: what the camera does.
 
@@ -105,20 +105,25 @@ class Augmentation:
         InputError: for a value out of its range.
     """
 
+    RENAMED: ClassVar[dict[str, str]] = {"held_back": "num_val", "lights": "num_lights"}
+
     size: int | None = None
     crop: int = added_field(FACE_SIZE)
-    held_back: int = 0
+    num_val: int = 0
     flip: float = 0.5
-    lights: int = 4096
+    num_lights: int = 4096
     light: LightSpec = field(default_factory=LightSpec)
     photo: PhotoOptions = field(default_factory=PhotoOptions)
 
     def __post_init__(self) -> None:
         if not 0 <= self.flip <= 1:
             raise InputError(f"flip: {self.flip} found, a probability from 0 to 1 is needed")
-        limits = {"lights": (float(self.lights), 1.0, 1e6), "size": (float(self.size or 8), 8.0, 4096.0)}
+        limits = {
+            "num_lights": (float(self.num_lights), 1.0, 1e6),
+            "size": (float(self.size or 8), 8.0, 4096.0),
+        }
         limits["crop"] = (float(self.crop), 8.0, float(FACE_SIZE))
-        limits["held_back"] = (float(self.held_back), 0.0, 1e6)
+        limits["num_val"] = (float(self.num_val), 0.0, 1e6)
         limits |= {f"light.{key}": limit for key, limit in self.light.limits().items()}
         for key, (value, low, high) in limits.items():
             if not low <= value <= high:

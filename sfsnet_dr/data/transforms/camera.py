@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 import torch
@@ -50,13 +50,15 @@ class PhotoOptions:
         noise: greatest standard deviation of sensor noise at signal 1.
         jpeg: share of images that went through a JPEG file.
         quality: range of its quality.
-        grey: share of images without colour.
-        cropped: share of images that end within the frame, as tightly cropped photographs do; what lies
+        grayscale_prob: share of images without colour.
+        crop_prob: share of images that end within the frame, as tightly cropped photographs do; what lies
             beyond is black.
 
     Raises:
         InputError: for values out of range.
     """
+
+    RENAMED: ClassVar[dict[str, str]] = {"grey": "grayscale_prob", "cropped": "crop_prob"}
 
     exposure: float = 0.3
     white_balance: float = 0.1
@@ -64,14 +66,14 @@ class PhotoOptions:
     noise: float = 0.02
     jpeg: float = 0.5
     quality: tuple[int, int] = (50, 98)
-    grey: float = 0.1
-    cropped: float = added_field(0.0)
+    grayscale_prob: float = 0.1
+    crop_prob: float = added_field(0.0)
 
     def __post_init__(self) -> None:
         for name in ("exposure", "white_balance", "blur", "noise"):
             if not getattr(self, name) >= 0:
                 raise InputError(f"{name}: {getattr(self, name)} found, 0 or more is needed")
-        for name in ("jpeg", "grey", "cropped"):
+        for name in ("jpeg", "grayscale_prob", "crop_prob"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InputError(f"{name}: {getattr(self, name)} found, a probability from 0 to 1 is needed")
         if not 1 <= self.quality[0] <= self.quality[1] <= 100:
@@ -113,8 +115,8 @@ def sample_effects(rng: np.random.Generator, options: PhotoOptions) -> PhotoEffe
     blurred, blur = rng.random() < 0.5, rng.uniform(0.0, options.blur)
     noise = rng.uniform(0.0, options.noise)
     compressed, quality = rng.random() < options.jpeg, int(rng.integers(*options.quality, endpoint=True))
-    grey, seed = rng.random() < options.grey, int(rng.integers(2**32))
-    frame = _sample_frame(rng, options.cropped) if options.cropped else None
+    grey, seed = rng.random() < options.grayscale_prob, int(rng.integers(2**32))
+    frame = _sample_frame(rng, options.crop_prob) if options.crop_prob else None
     return PhotoEffects(
         gain=2.0**stops,
         blur=float(blur) if blurred else 0.0,

@@ -120,9 +120,13 @@ class Case:
     def training(self) -> tuple[Recipe, SceneSpec, bool]:
         """All that decides its networks.
 
-        What a photograph's numbers are (``real.values``) does not where no photographs are learnt from.
+        What a photograph's numbers are (``real.encoding``) does not where no photographs are learnt from.
         """
-        recipe = self.recipe if self.recipe.real.share else replace(self.recipe, real=PseudoLabelOptions())
+        recipe = (
+            self.recipe
+            if self.recipe.real.batch_fraction
+            else replace(self.recipe, real=PseudoLabelOptions())
+        )
         return recipe, self.scene, self.variant.visibility
 
 
@@ -246,8 +250,8 @@ def _check_alike(where: str, own: Recipe, first: Recipe, scene: SceneSpec) -> No
         "seed": (own.seed, first.seed),
         "data.size": (own.data.size, size),
         "data.crop": (own.data.crop, first.data.crop),
-        "data.held_back": (own.data.held_back, 0),
-        "surfaces.share": (own.surfaces.share, 0),
+        "data.num_val": (own.data.num_val, 0),
+        "normal_labels.batch_fraction": (own.normal_labels.batch_fraction, 0),
     }
     for key, (found, wanted) in pairs.items():
         if found != wanted:
@@ -262,7 +266,7 @@ def _check_alike(where: str, own: Recipe, first: Recipe, scene: SceneSpec) -> No
 
 def _missing(case: Case, photographs: Path | None) -> str | None:
     """What a case lacks to run."""
-    if case.recipe.real.share and photographs is None:
+    if case.recipe.real.batch_fraction and photographs is None:
         return "learns from photographs; --photographs gives them"
     if case.scene.shape != "anny" and case.scene.model_path is None:
         return f"has faces of {case.scene.shape}; --model-path says where that lies"

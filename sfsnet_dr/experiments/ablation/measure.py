@@ -87,7 +87,7 @@ def measure_all(plan: Plan) -> Measurements:
             for seed in plan.spec.seeds:
                 path = plan.network_folder(plan.network(case), seed) / WEIGHTS
                 method = NetworkMethod(case.name, path)
-                method.trained = replace(method.trained, values=case.recipe.real.values)
+                method.trained = replace(method.trained, encoding=case.recipe.real.encoding)
                 sums[SYNTHETIC].setdefault(case.name, []).append(_on_rendered(method.trained, truth, shown))
                 if collection is not None:
                     sums[MEASURED].setdefault(case.name, []).append(_on_photographs(method, collection))
@@ -157,7 +157,7 @@ def _held(plan: Plan) -> tuple[FaceBatch, list[int]]:
 
 def _on_rendered(trained: LoadedModel, truth: FaceBatch, shown: Sequence[int]) -> Array:
     """(P, 3) sums over the pictures of each face; a network of display-referred values sees them encoded."""
-    if trained.values == "display":
+    if trained.encoding == "srgb":
         truth = truth._replace(image=linear_to_srgb(truth.image.clamp(0, 1)))
     numbers = rendered_errors(trained, truth)
     rows = np.stack(

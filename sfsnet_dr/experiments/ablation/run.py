@@ -95,14 +95,14 @@ def _render(plan: Plan, folder: Path, scene: SceneSpec, seeds: range, ledger: Co
 def _train(plan: Plan, case: Case, seed: int, ledger: CostLedger, rule: Rule) -> None:
     recipe = replace(case.recipe, seed=seed)
     labels: Path | None = None
-    if recipe.real.share:
+    if recipe.real.batch_fraction:
         assert plan.photographs is not None
         source = photo_folder(plan.photographs, held_back=0, most=plan.spec.photographs)
         labels = plan.folder / "labels" / f"{case.name}-{seed}"
         rule(labelling_entry(case.name, seed), f"{len(source.train)} photographs by {plan.base.name}")
         weights = plan.network_folder(plan.base.name, seed) / WEIGHTS
         with ledger.spent(labelling_entry(case.name, seed)):
-            label_photographs(source, weights, labels, recipe.real.values)
+            label_photographs(source, weights, labels, recipe.real.encoding)
     what, folder = training_entry(case.name, seed), plan.network_folder(case.name, seed)
     with ledger.spent(what):
         train_once(recipe, [plan.faces(case)], folder, partial(rule, what), labels=labels)

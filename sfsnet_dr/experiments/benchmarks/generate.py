@@ -78,12 +78,14 @@ class Bench:
         face = sample_face(seed, spec)
         scene = SurfaceScene(face.mesh, face.pose.camera(spec.camera), gloss=spec.has_gloss)
         rng = np.random.default_rng(seed)
-        directions = np.array([sample_direction(rng) for _ in range(spec.sampling.directions)])
+        directions = np.array([sample_direction(rng) for _ in range(spec.sampling.directional_lights)])
         return Bench(face, scene, spec, directions.reshape(-1, 3), seed)
 
     def options(self, sampler: Sampler = "sobol") -> TransportOptions:
         """The spec's, for a sampler."""
-        return TransportOptions(MAP_ORDER, self.spec.sampling.bounces, self.spec.sampling.paths, sampler)
+        return TransportOptions(
+            MAP_ORDER, self.spec.sampling.max_bounces, self.spec.sampling.paths_per_hit, sampler
+        )
 
     def captures(self, samples: int, sampler: Sampler = "sobol") -> tuple[list[TransportMaps], float]:
         """Captures of independent seeds, and the median time of one, compiled and warm."""
@@ -176,11 +178,11 @@ def _against_plain(bench: Bench) -> dict[str, tuple[float, str]]:
     noise than one render of a shifted light.
     """
     sampling = bench.spec.sampling
-    captures, seconds = bench.captures(sampling.transport)
+    captures, seconds = bench.captures(sampling.spp)
     ours, mask = response_variances(captures), captures[0].mask.astype(np.float64)
     scene, load = _timed(lambda: _loaded(bench))
     _, exchange = _timed(lambda: bench.scene.set_mesh(bench.face.mesh))
-    depth, paths = sampling.bounces + 2, sampling.transport * sampling.paths
+    depth, paths = sampling.max_bounces + 2, sampling.spp * sampling.paths_per_hit
     basis = sh_basis(equirect_directions(*MAP_SIZE), MAP_ORDER)
     equal_noise, equal_paths, needed_transport = load, load, []
     groups = [(scene, basis, depth, ours.transport)]
@@ -202,7 +204,7 @@ def _against_plain(bench: Bench) -> dict[str, tuple[float, str]]:
         )
         run = render_naively(lit, mask, PLAIN_SAMPLES, depth)
         equal_noise += _seconds_for([run], run.variance / ours.directional)
-        equal_paths += _seconds_for([run], sampling.transport)
+        equal_paths += _seconds_for([run], sampling.spp)
     noise = measure_noise(captures).transport
     return {
         "noise.transport.plain": (noise * float(np.sqrt(np.mean(needed_transport) / paths)), "1"),
@@ -244,16 +246,12 @@ def _against_rays(bench: Bench) -> dict[str, tuple[float, str]]:
     sampling = bench.spec.sampling
     rates, limits = [], []
     for _ in range(3):
-        captures, seconds = bench.captures(sampling.transport)
+        captures, seconds = bench.captures(sampling.spp)
         rates.append(captures[0].rays / seconds)
         limits.append(bare_ray_tests(bench.scene, 32, repeats=3))
-    times = kernel_times(
-        lambda: render_aovs(bench.scene, sampling.transport, 0, bench.options(), bench.directions)
-    )
+    times = kernel_times(lambda: render_aovs(bench.scene, sampling.spp, 0, bench.options(), bench.directions))
     largest = max(times, key=lambda kernel: kernel.operations)
-    _, whole = _timed(
-        lambda: render_aovs(bench.scene, sampling.transport, 0, bench.options(), bench.directions)
-    )
+    _, whole = _timed(lambda: render_aovs(bench.scene, sampling.spp, 0, bench.options(), bench.directions))
     rate, limit = float(np.median(rates)), float(np.median(limits))
     return {
         "rays_per_capture": (captures[0].rays, "rays"),

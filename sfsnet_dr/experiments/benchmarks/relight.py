@@ -91,7 +91,7 @@ class RelightBenchmark:
     """Measures faces one after another.
 
     Args:
-        spec: of the faces; ``sampling.reference`` is the paths per pixel of each reference.
+        spec: of the faces; ``sampling.reference_spp`` is the paths per pixel of each reference.
         kinds: a light of each is drawn for every face.
     """
 
@@ -103,12 +103,10 @@ class RelightBenchmark:
         """The face of a seed."""
         spec, face = self._spec, sample_face(seed, self._spec)
         view = _View(face.mesh, face.pose.camera(spec.camera), seed)
-        directions = _directions(seed, spec.sampling.directions)
-        options = TransportOptions(MAP_ORDER, spec.sampling.bounces, spec.sampling.paths)
+        directions = _directions(seed, spec.sampling.directional_lights)
+        options = TransportOptions(MAP_ORDER, spec.sampling.max_bounces, spec.sampling.paths_per_hit)
         scene = self._show(view, Light("white", np.ones((*MAP_SIZE, 3))), spec.has_gloss)
-        pair = [
-            render_aovs(scene, spec.sampling.transport, 2 * seed + k, options, directions) for k in range(2)
-        ]
+        pair = [render_aovs(scene, spec.sampling.spp, 2 * seed + k, options, directions) for k in range(2)]
         black, found = view.black(), []
         for number, kind in enumerate(KINDS):
             if kind in self._kinds:
@@ -122,7 +120,7 @@ class RelightBenchmark:
         self, pair: Sequence[TransportMaps], directions: Array, light: Light, view: _View, black: _View
     ) -> tuple[Array, Array, Array]:
         """Squared errors (len(PARTS),) under one light, and the two images."""
-        weights, depth = response_weights(light, directions, MAP_ORDER), self._spec.sampling.bounces + 2
+        weights, depth = response_weights(light, directions, MAP_ORDER), self._spec.sampling.max_bounces + 2
         relit = [relight_responses(maps.transport, maps.gloss, maps.directional, weights) for maps in pair]
         traced, cut = (self._trace(view, light, end) for end in (-1, depth))
         smooth, gloss, mirror = cut, [np.zeros_like(relit[0])] * 2, [np.zeros_like(relit[0])] * 2
@@ -152,7 +150,7 @@ class RelightBenchmark:
 
     def _trace(self, view: _View, light: Light, depth: int) -> list[Array]:
         """Two images of independent noise; other lights and depths share it as far as paths are the same."""
-        scene, samples = self._show(view, light, self._spec.has_gloss), self._spec.sampling.reference
+        scene, samples = self._show(view, light, self._spec.has_gloss), self._spec.sampling.reference_spp
         return [path_trace(scene, samples, 2 * view.seed + k, depth).mean for k in range(2)]
 
     def _trace_smooth(self, view: _View, light: Light, depth: int) -> list[Array]:
@@ -218,7 +216,7 @@ def bench_relight(
     is to have more faces, goes on.
 
     Args:
-        spec: of the faces; ``sampling.reference`` is the paths per pixel of each reference. Without
+        spec: of the faces; ``sampling.reference_spp`` is the paths per pixel of each reference. Without
             ``light.environments`` kind ``"hdr"`` is left out.
         out: folder; it gets ``records.json``, ``index.html`` and ``face-NNNNNN.npz``.
         faces: how many, from ``seed`` on.
@@ -239,8 +237,8 @@ def bench_relight(
         )
     if faces < 1 or seed < 0:
         raise InputError(f"bench relight: {faces} faces from seed {seed} found, at least 1 and 0 are needed")
-    if spec.sampling.reference < 2:
-        raise InputError(f"bench relight: {spec.sampling.reference} paths found, at least 2 are needed")
+    if spec.sampling.reference_spp < 2:
+        raise InputError(f"bench relight: {spec.sampling.reference_spp} paths found, at least 2 are needed")
     kinds = [kind for kind in KINDS if kind != "hdr" or _lights_of(spec).environments is not None]
     folder, key = output_dir(out), fingerprint(dataset_identity(spec))
     measure, found = RelightBenchmark(spec, kinds), []
@@ -335,10 +333,10 @@ def _explained(spec: SceneSpec) -> list[Block]:
         "two path-traced ones with independent random numbers. So a cause that is 0 may come out a little "
         "above, and is shown as 0 where it comes out below. Squares of the causes add up to that of the "
         "whole only as far as the causes have nothing to do with each other.",
-        f"Transport: {sampling.transport} camera rays a pixel, {sampling.paths} diffuse and as many glossy "
-        f"paths each, {sampling.bounces} further surface points. References: {sampling.reference} paths a "
-        f"pixel, any number of surface points, {spec.camera.size} x {spec.camera.size} pixels. Noise is that "
-        "of one relit image.",
+        f"Transport: {sampling.spp} camera rays a pixel, {sampling.paths_per_hit} diffuse and as many glossy "
+        f"paths each, {sampling.max_bounces} further surface points. References: {sampling.reference_spp} "
+        f"paths a pixel, any number of surface points, {spec.camera.size} x {spec.camera.size} pixels. Noise "
+        "is that of one relit image.",
         Note(
             "Hard lights stand where the face's transport has a response to them, or are made soft, before "
             "either image is made, as in all lights that datasets are relit with. What that changes about a "

@@ -41,7 +41,7 @@ _PATIENCE: Final = 10.0
 def relit_faces(recipe: Recipe, data: Path, team: ProcessGroup) -> RelitFaces:
     """The batches of a recipe, under a few of its lights."""
     faces = load_faces(data, recipe.data.view).to(team.device)
-    bank = draw_lights(recipe.data.light, min(_LIGHTS, recipe.data.lights), recipe.seed)
+    bank = draw_lights(recipe.data.light, min(_LIGHTS, recipe.data.num_lights), recipe.seed)
     return RelitFaces(faces, recipe.batch_size, recipe.data, recipe.seed, bank)
 
 
@@ -158,7 +158,7 @@ def bench_train(
     Returns:
         Records, and lines to read.
     """
-    recipe = replace(recipe, real=replace(recipe.real, share=0.0))
+    recipe = replace(recipe, real=replace(recipe.real, batch_fraction=0.0))
     with join_process_group(recipe.compute.device) as team, StepsApart(naive_step(recipe), data) as plain:
         keep_freed_memory()
         batches = relit_faces(recipe, data, team)

@@ -86,7 +86,7 @@ def _faces(result: DemoResult) -> Section:
         f"{len(result.bundles)} rendered faces",
         [
             "Adults of the Anny head model with seeded identity, expression, skin and pose, each path traced "
-            f"under its own environment at {result.spec.sampling.reference} paths a pixel{took}. "
+            f"under its own environment at {result.spec.sampling.reference_spp} paths a pixel{took}. "
             "Any other light is then a small matrix product.",
             Gallery(images),
             Gallery(

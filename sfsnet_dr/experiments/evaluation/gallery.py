@@ -162,7 +162,7 @@ def _under(method: Method, answer: Prediction, index: int, light: Tensor) -> Ten
     Networks of display-referred values multiply encoded albedo and shading.
     """
     shade = shading(answer.normal[index : index + 1], light[None])[0].clamp_min(0)
-    if isinstance(method, NetworkMethod) and method.trained.values == "display":
+    if isinstance(method, NetworkMethod) and method.trained.encoding == "srgb":
         return srgb_to_linear((linear_to_srgb(answer.albedo[index].clamp_min(0)) * shade).clamp(0, 1))
     return answer.albedo[index] * shade
 

@@ -83,7 +83,7 @@ class ImageErrors:
         coefficients: estimated shading coefficients, 27.
         normals: see ``NormalSums``.
         albedo: RMS error relative to the true albedo's RMS, after the best factor.
-        albedo_sure: the same where the truth is sure, which leaves out brows, lips, beards and folds.
+        albedo_confident: the same where the truth is sure, which leaves out brows, lips, beards and folds.
         mae, rmse: of the reconstruction, 8-bit sRGB units.
         delta_e: mean Delta E 2000 of the reconstruction; of colour photographs only.
         light: length of the error of the light's coefficients relative to theirs, after the best factor.
@@ -94,7 +94,7 @@ class ImageErrors:
     coefficients: Array = field(repr=False)
     normals: NormalSums | None = None
     albedo: float | None = None
-    albedo_sure: float | None = None
+    albedo_confident: float | None = None
     mae: float | None = None
     rmse: float | None = None
     delta_e: float | None = None
@@ -201,7 +201,7 @@ def _errors(method: str, shot: EvaluationSample, answer: Prediction, index: int)
         coefficients=light,
         normals=None if shot.normal is None else _sums(normal, shot, mask),
         albedo=None if shot.albedo is None else scaled_rms(albedo, _pixels(shot.albedo, mask)),
-        albedo_sure=_where_sure(albedo, shot, mask),
+        albedo_confident=_confident_error(albedo, shot, mask),
         mae=mae_8bit(*drawn) if tells else None,
         rmse=rmse_8bit(*drawn) if tells else None,
         delta_e=float(delta_e_2000(np.clip(image, 0, 1), true).mean()) if tells and not shot.grey else None,
@@ -212,7 +212,7 @@ def _errors(method: str, shot: EvaluationSample, answer: Prediction, index: int)
     )
 
 
-def _where_sure(albedo: Array, shot: EvaluationSample, mask: npt.NDArray[np.bool_]) -> float | None:
+def _confident_error(albedo: Array, shot: EvaluationSample, mask: npt.NDArray[np.bool_]) -> float | None:
     if shot.albedo is None or shot.sure is None or not (shot.sure & mask).any():
         return None
     return scaled_rms(albedo[shot.sure[mask]], _pixels(shot.albedo, mask & shot.sure))

@@ -30,7 +30,7 @@ BINS: Final = ((0, 12), (12, 25), (25, 50), (50, 77), (77, 181))
 #: Means over photographs: the record's name, the errors' field, the unit.
 _MEANS: Final = (
     ("albedo.scaled_rms", "albedo", "1"),
-    ("albedo.sure.scaled_rms", "albedo_sure", "1"),
+    ("albedo.confident.scaled_rms", "albedo_confident", "1"),
     ("recon.mae", "mae", "8-bit sRGB"),
     ("recon.rmse", "rmse", "8-bit sRGB"),
     ("recon.delta_e", "delta_e", "Delta E 2000"),
@@ -213,7 +213,7 @@ LAYOUTS: Final = (
     Layout(
         (
             ("albedo.scaled_rms", "albedo", 3),
-            ("albedo.sure.scaled_rms", "where truth is sure", 3),
+            ("albedo.confident.scaled_rms", "high-confidence pixels", 3),
             ("recon.mae", "MAE", 2),
             ("recon.rmse", "RMSE", 2),
             ("recon.delta_e", "Delta E 2000", 2),

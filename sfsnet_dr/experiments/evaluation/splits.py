@@ -1,8 +1,8 @@
 """Nobody is measured on whom a network was fine-tuned with their normals: what is left for each method.
 
-Networks that have learnt from pictures whose labels they helped to make themselves (``lamps_by`` of
+Networks that have learnt from pictures whose labels they helped to make themselves (``calibrated_by`` of
 ``IdentitySplit``) know no truth of anybody and are measured on everybody; what they do with those whose
-pictures they have never seen, the strangers, is told beside it.
+pictures they have never seen, the unseen subjects, is told beside it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from sfsnet_dr.inference.methods import Method, NetworkMethod
 def fine_tuning_split(method: Method) -> IdentitySplit | None:
     """The identity split of a network that was trained with somebody's true normals."""
     split = _split(method)
-    return None if split is None or split.lamps_by else split
+    return None if split is None or split.calibrated_by else split
 
 
 def unseen_subjects(methods: Sequence[Method], collection: Collection) -> Collection:
@@ -46,12 +46,12 @@ def unseen_subjects(methods: Sequence[Method], collection: Collection) -> Collec
 def is_heldout(method: Method, found: MethodErrors) -> MethodErrors | None:
     """What was measured on those whose pictures a network has not seen; None if it has seen all or none."""
     split = _split(method)
-    if split is None or not split.lamps_by:
+    if split is None or not split.calibrated_by:
         return None
     images = [errors for errors in found.images if errors.shot.subject not in split.learnt]
     if not 0 < len(images) < len(found.images):
         return None
-    return replace(found, method=f"{found.method}-strangers", images=images)
+    return replace(found, method=f"{found.method}-unseen", images=images)
 
 
 def cross_validated(methods: Sequence[Method], found: Sequence[MethodErrors]) -> list[MethodErrors]:
@@ -125,8 +125,8 @@ def provenance_notes(methods: Sequence[Method], collection: Collection) -> list[
             notes.append(
                 f"{method.name} has learnt from pictures of {len(seen)} of the {len(collection.subjects)} "
                 "subjects without being told their normals, albedo or lights (photometric stereo with lamps "
-                f"that were found with the help of {split.lamps_by})."
-                + (f" {method.name}-strangers: the same network on {', '.join(others)}." if others else "")
+                f"that were found with the help of {split.calibrated_by})."
+                + (f" {method.name}-unseen: the same network on {', '.join(others)}." if others else "")
             )
     return notes
 

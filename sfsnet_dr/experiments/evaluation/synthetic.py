@@ -27,7 +27,7 @@ TRUTH: Final = (
 HELD_BACK: Final = 100
 _PICTURES: Final = 5
 #: How the pictures vary.
-OPTIONS: Final = Augmentation(photo=PhotoOptions(grey=0.0))
+OPTIONS: Final = Augmentation(photo=PhotoOptions(grayscale_prob=0.0))
 _SEED: Final = 5_000_011
 _LIGHTS: Final = 256
 _BATCH: Final = 10

@@ -105,7 +105,11 @@ def compute_normal_labels(
     if not result.labels:
         raise InputError(f"{listing.folder}: no capture gave normals that are sure; are its lights right?")
     if folder is not None:
-        told = {"oblique": strobes.oblique, "strength": dict(strobes.strength), "lamps_by": listing.lamps_by}
+        told = {
+            "oblique": strobes.oblique,
+            "strength": dict(strobes.strength),
+            "calibrated_by": listing.calibrated_by,
+        }
         write_index(folder, listing.database, told, written, skipped)
         (folder / "sheet.png").write_bytes(normal_label_sheet(result.labels))
     return result

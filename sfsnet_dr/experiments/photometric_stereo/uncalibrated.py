@@ -50,7 +50,7 @@ def calibrate_image_sets(
         on_capture: called after each.
 
     Returns:
-        ``listing.lamps_by`` names the weights. Photographs under lamps that cannot be found, or that have no
+        ``listing.calibrated_by`` names the weights. Photographs under lamps that cannot be found, or that have no
         name, have no direction.
 
     Raises:
@@ -86,7 +86,7 @@ def calibrate_image_sets(
         for photo in photos
         if photo.light in found.lost
     }
-    listing = replace(read.listing, photos=photos, lamps_by=method.name)
+    listing = replace(read.listing, photos=photos, calibrated_by=method.name)
     return ImageSets(listing, faces, read.skipped | lost)
 
 

@@ -17,7 +17,7 @@ from sfsnet_dr.data.manifest import Manifest
 from sfsnet_dr.data.normal_labels import INDEX as SURFACES_INDEX
 from sfsnet_dr.data.photos import PhotoSource
 from sfsnet_dr.data.pseudo_labels import MANIFEST as LABELS_MANIFEST
-from sfsnet_dr.data.pseudo_labels import Values
+from sfsnet_dr.data.pseudo_labels import Encoding
 from sfsnet_dr.report.console import progress_bar
 from sfsnet_dr.scene.spec import SceneSpec
 from sfsnet_dr.train.checkpoint import find_differences
@@ -68,7 +68,9 @@ def render_missing(
             synthesize(folder, scene, count, seed=seed, resume=folder.exists(), on_face=after)
 
 
-def label_photographs(source: PhotoSource, weights: Path, folder: Path, values: Values | None = None) -> None:
+def label_photographs(
+    source: PhotoSource, weights: Path, folder: Path, values: Encoding | None = None
+) -> None:
     """Let a network label photographs, with a bar; see ``fit.pseudo_label``."""
     with progress_bar("labelling photographs", len(source.train)) as advance:
 

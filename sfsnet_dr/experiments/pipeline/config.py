@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import ClassVar, Final
 
 from sfsnet_dr.core.config import load_toml
 from sfsnet_dr.core.errors import InputError
@@ -30,22 +30,24 @@ class StagesSpec:
         faces: bundles to render where no folder of them is given.
         scene: their scene; left out, that of ``sfsnet-dr synth``.
         photographs: learn from no more than these many; None takes all.
-        held_back: photographs to measure on.
+        num_val: photographs to measure on.
         pictures: held-back rendered faces to measure on, each image under a light of its own.
 
     Raises:
         InputError: for a number below its least.
     """
 
+    RENAMED: ClassVar[dict[str, str]] = {"held_back": "num_val"}
+
     recipes: str
     faces: int = 24
     scene: str | None = None
     photographs: int | None = None
-    held_back: int = 500
+    num_val: int = 500
     pictures: int = 200
 
     def __post_init__(self) -> None:
-        for name, least in (("faces", 1), ("photographs", 1), ("held_back", 1), ("pictures", 2)):
+        for name, least in (("faces", 1), ("photographs", 1), ("num_val", 1), ("pictures", 2)):
             value = getattr(self, name)
             if value is not None and value < least:
                 raise InputError(f"{name}: {value} found, at least {least} is needed")
@@ -128,7 +130,7 @@ def read_plan(
     }
     if surfaces is not None:
         recipes[FINE_TUNED] = with_environments(read_recipe(folder / f"{FINE_TUNED}.toml"), environments)
-        load_training_subjects(surfaces, recipes[FINE_TUNED].surfaces, recipes[FINE_TUNED].data.view)
+        load_training_subjects(surfaces, recipes[FINE_TUNED].normal_labels, recipes[FINE_TUNED].data.view)
     _check_alike(folder, recipes)
     scene = SceneSpec("faces", "anny") if spec.scene is None else _load_scene(path.parent / spec.scene)
     return Plan(spec, recipes, scene, Path(out), tuple(data), photographs, surfaces)
@@ -140,20 +142,20 @@ def _check_alike(folder: Path, recipes: dict[str, Recipe]) -> None:
         pairs = {
             "data.size": (recipe.data.size, first.data.size),
             "data.crop": (recipe.data.crop, first.data.crop),
-            "data.held_back": (recipe.data.held_back, first.data.held_back),
-            "real.values": (recipe.real.values, first.real.values),
+            "data.num_val": (recipe.data.num_val, first.data.num_val),
+            "real.encoding": (recipe.real.encoding, first.real.encoding),
         }
         for key, (found, wanted) in pairs.items():
             if found != wanted:
                 raise InputError(
                     f"{folder / name}.toml: {key} = {found!r} found, {wanted!r} as in {LABELLER}.toml needed"
                 )
-    if first.data.held_back < 1:
+    if first.data.num_val < 1:
+        raise InputError(f"{folder / LABELLER}.toml: data.num_val = 0 found, faces to measure on are needed")
+    if first.real.batch_fraction:
         raise InputError(
-            f"{folder / LABELLER}.toml: data.held_back = 0 found, faces to measure on are needed"
+            f"{folder / LABELLER}.toml: real.batch_fraction above 0 found; it labels the photographs"
         )
-    if first.real.share:
-        raise InputError(f"{folder / LABELLER}.toml: real.share above 0 found; it labels the photographs")
 
 
 def _load_scene(path: Path) -> SceneSpec:

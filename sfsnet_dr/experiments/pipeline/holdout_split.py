@@ -18,7 +18,7 @@ from sfsnet_dr.core.color_torch import linear_to_srgb
 from sfsnet_dr.data.batch import FaceBatch
 from sfsnet_dr.data.dataset import Faces, RelitFaces
 from sfsnet_dr.data.photos import PhotoSet
-from sfsnet_dr.data.pseudo_labels import Values, as_network_input
+from sfsnet_dr.data.pseudo_labels import Encoding, as_network_input
 from sfsnet_dr.data.transforms.background import Augmentation
 from sfsnet_dr.metrics.bootstrap import bootstrap_interval
 from sfsnet_dr.metrics.normals import angular_error_deg
@@ -54,7 +54,7 @@ def holdout_batch(faces: Faces, augmentation: Augmentation, count: int) -> FaceB
 
 def holdout_faces(faces: Faces, augmentation: Augmentation, count: int) -> RelitFaces:
     """The sequence whose batch 0 ``holdout_batch`` is, and whose ``indices(0)`` say which face each shows."""
-    bank = draw_lights(augmentation.light, min(_LIGHTS, augmentation.lights), _SEED)
+    bank = draw_lights(augmentation.light, min(_LIGHTS, augmentation.num_lights), _SEED)
     return RelitFaces(faces, count, augmentation, _SEED, bank)
 
 
@@ -69,17 +69,17 @@ def rendered_errors(trained: LoadedModel, truth: FaceBatch) -> Numbers:
     answer = predict_with_flip_tta(trained.model, truth.image)
     rows = [_truth_errors(answer, truth, index) for index in range(len(truth.image))]
     numbers = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    return numbers | reconstruction_errors(answer, truth.image, truth.mask, trained.values)
+    return numbers | reconstruction_errors(answer, truth.image, truth.mask, trained.encoding)
 
 
 def photograph_errors(trained: LoadedModel, photographs: PhotoSet) -> Numbers:
     """``recon.mae`` and ``recon.rmse`` of each photograph, 8-bit sRGB units on its mask."""
-    image = as_network_input(photographs.images, trained.values)
+    image = as_network_input(photographs.images, trained.encoding)
     answer = predict_with_flip_tta(trained.model, image)
-    return reconstruction_errors(answer, image, photographs.masks.float() / 255, trained.values)
+    return reconstruction_errors(answer, image, photographs.masks.float() / 255, trained.encoding)
 
 
-def reconstruction_errors(answer: NetworkOutput, image: Tensor, mask: Tensor, values: Values) -> Numbers:
+def reconstruction_errors(answer: NetworkOutput, image: Tensor, mask: Tensor, values: Encoding) -> Numbers:
     """Mean absolute and root-mean-square difference of reconstructions and images, one number an image.
 
     Both are clipped to [0, 1] and encoded, or left as they are where values are display-referred; they are

@@ -72,7 +72,7 @@ def measure_networks(plan: Plan, source: PhotoSource, command: str) -> Outcome:
     trained = {name: load_model(plan.folder / name / WEIGHTS) for name in NETWORKS}
     histories = {name: read_history(plan.folder / name / HISTORY) for name in NETWORKS}
     data = plan.first.data
-    held = load_faces(plan.faces, data.view, held_back=data.held_back, held=True)
+    held = load_faces(plan.faces, data.view, held_back=data.num_val, held=True)
     truth = holdout_batch(held, data, plan.spec.pictures)
     photographs = source.load(source.held, Crop(truth.image.shape[-1], data.crop))
     records: list[Record] = []

@@ -85,15 +85,15 @@ def measure_shipped(
     source = None if photographs is None else photo_folder(photographs, held_back=PHOTOGRAPHS)
     shown = {}
     if source is not None:  # once for all networks of a view
-        shown = {view: source.load(source.held, view) for view in {each.view for each in networks.values()}}
+        shown = {view: source.load(source.held, view) for view in {each.crop for each in networks.values()}}
     records: list[Record] = []
     for name, trained in networks.items():
-        wanted = Augmentation(size=trained.view.size, crop=trained.view.crop)
-        truth = holdout_batch(load_faces(folder, trained.view), wanted, PICTURES)
+        wanted = Augmentation(size=trained.crop.size, crop=trained.crop.crop)
+        truth = holdout_batch(load_faces(folder, trained.crop), wanted, PICTURES)
         records += error_records(rendered_errors(trained, truth), "synthetic", name, command)
         if source is not None:
             records += error_records(
-                photograph_errors(trained, shown[trained.view]), "photographs", name, command
+                photograph_errors(trained, shown[trained.crop]), "photographs", name, command
             )
     return records
 

@@ -117,7 +117,7 @@ def _summary(outcome: Outcome) -> Section:
                 "runs and nothing about photographs. The paper's numbers are of CelebA."
             )
         )
-    if outcome.plan.first.real.values == "display":
+    if outcome.plan.first.real.encoding == "srgb":
         blocks.append(Note("Trained in the paper's display-referred form, not in linear light."))
     return Section("In short", blocks)
 
@@ -161,7 +161,7 @@ def _stage(outcome: Outcome, name: str) -> Section:
     recipe, history = outcome.plan.recipes[name], outcome.histories[name]
     steps = [line for line in history if "total" in line]
     names = ["total", "recon", "normal", "albedo", "light"]
-    names += ["real_recon"] if recipe.real.share else []
+    names += ["real_recon"] if recipe.real.batch_fraction else []
     terms = {term: [line[term] for line in steps] for term in names}
     speed = float(np.median([line["images_per_second"] for line in steps]))
     minutes = training_seconds(history, recipe.batch_size) / 60
@@ -172,7 +172,7 @@ def _stage(outcome: Outcome, name: str) -> Section:
         Figure(
             loss_curve([line["step"] for line in steps], terms),
             "Loss and its terms before weighting"
-            + ("; real_recon is of photographs." if recipe.real.share else "."),
+            + ("; real_recon is of photographs." if recipe.real.batch_fraction else "."),
         ),
     ]
     warnings = [f"Step {line['step']}: {line['warning']}." for line in history if "warning" in line]
@@ -199,7 +199,7 @@ def _photographs(outcome: Outcome) -> Section:
 
 def _rendered(outcome: Outcome) -> Section:
     truth, blocks = outcome.truth, list[Block]()
-    show = show_linear if outcome.plan.first.real.values == "linear" else show_encoded
+    show = show_linear if outcome.plan.first.real.encoding == "linear" else show_encoded
     for index in range(min(2, len(truth.image))):
         maps = {
             "image": truth.image,
@@ -217,7 +217,7 @@ def _rendered(outcome: Outcome) -> Section:
             ("Their product", on_white(show(albedo * shade), mask)),
             ("", np.full_like(show(image), 255)),
         ]
-        seen = image if outcome.plan.first.real.values == "linear" else _linear(image)
+        seen = image if outcome.plan.first.real.encoding == "linear" else _linear(image)
         rows = _rows(outcome, Photograph(f"face {index + 1}", np.asarray(seen, np.float32), mask))
         caption = "Input and product of the true parts differ by shadows, gloss and noise."
         blocks.append(_figure(known + rows, f"Rendered face {index + 1}", caption))
@@ -233,7 +233,7 @@ def _rows(outcome: Outcome, picture: Photograph) -> list[tuple[str, Pixels]]:
     """A row of pictures for each network."""
     cells = []
     for name, network in outcome.trained.items():
-        [face] = run_network(network.model, [picture], view=Crop(len(picture.image)), values=network.values)
+        [face] = run_network(network.model, [picture], view=Crop(len(picture.image)), values=network.encoding)
         shown = decomposition_pictures(face)
         cells += [(name if part == "input" else shown[part][0], shown[part][1]) for part in _PARTS]
     return cells

@@ -44,7 +44,7 @@ def run_stages(plan: Plan, *, command: str, console: Console | None = None) -> l
     screen = console or Console(stderr=True)
     folder = output_dir(plan.folder)
     if plan.photographs is not None:  # unusable ones are told before anything is rendered
-        photo_folder(plan.photographs, held_back=plan.spec.held_back, most=plan.spec.photographs)
+        photo_folder(plan.photographs, held_back=plan.spec.num_val, most=plan.spec.photographs)
     steps = ["faces", LABELLER, "pseudo-label", *NETWORKS[1:], "measure", FINE_TUNED]
 
     def rule(name: str, state: str) -> None:
@@ -71,11 +71,11 @@ def load_photographs(plan: Plan) -> PhotoSource:
     """The plan's photographs, or the rendered faces that stand in for them."""
     spec, data = plan.spec, plan.first.data
     if plan.photographs is not None:
-        return photo_folder(plan.photographs, held_back=spec.held_back, most=spec.photographs)
-    train_faces = load_faces(plan.faces, data.view, held_back=data.held_back)
-    held = load_faces(plan.faces, data.view, held_back=data.held_back, held=True)
+        return photo_folder(plan.photographs, held_back=spec.num_val, most=spec.photographs)
+    train_faces = load_faces(plan.faces, data.view, held_back=data.num_val)
+    held = load_faces(plan.faces, data.view, held_back=data.num_val, held=True)
     most = spec.photographs or 4 * len(train_faces)
-    return rendered_stand_ins(train_faces, held, data, held_back=spec.held_back, most=most)
+    return rendered_stand_ins(train_faces, held, data, held_back=spec.num_val, most=most)
 
 
 def _render(plan: Plan, rule: Callable[[str, str], None]) -> None:
@@ -94,7 +94,7 @@ def _label(plan: Plan, source: PhotoSource, rule: Callable[[str, str], None]) ->
 
 def _train(plan: Plan, name: str, folder: Path, rule: Callable[[str, str], None]) -> None:
     recipe = plan.recipes[name]
-    labels = plan.labels if recipe.real.share else None
-    surfaces = plan.surfaces if recipe.surfaces.share else None
+    labels = plan.labels if recipe.real.batch_fraction else None
+    surfaces = plan.surfaces if recipe.normal_labels.batch_fraction else None
     start = plan.folder / FINE_TUNED_FROM / WEIGHTS if name == FINE_TUNED else None
     train_once(recipe, plan.faces, folder, partial(rule, name), labels=labels, surfaces=surfaces, start=start)

@@ -18,7 +18,7 @@ CONFIG: Final = FOLDER / "regress.toml"
 REFERENCES: Final = FOLDER / "references"
 
 #: Rays behind the SH renderers' maps and transport: enough that one 8 x 8 block is known to .3 %.
-_SAMPLING: Final = SamplingSpec(transport=64, paths=4)
+_SAMPLING: Final = SamplingSpec(spp=64, paths_per_hit=4)
 
 
 @dataclass(frozen=True)

@@ -130,7 +130,7 @@ class SceneResults:
     """A subject's results: what the models know of it, and one result for each light."""
 
     subject: Subject
-    known: ModelInputs
+    inputs: ModelInputs
     results: tuple[LightResult, ...]
 
     @property
@@ -170,7 +170,7 @@ def measure_models(
             f"{subject.spec.name}: no surface in view: no pixel is covered whole by what is counted"
         )
     scenes, fine = SceneCache(), FineMaps.of(subject, known.mask, seed)
-    samples = subject.spec.sampling.reference if samples is None else samples
+    samples = subject.spec.sampling.reference_spp if samples is None else samples
     results = []
     for light in lights:
         levels = trace_light_paths(scenes, subject, light, samples, seed)

@@ -145,8 +145,10 @@ def capture_inputs(subject: Subject, seed: int, rungs: tuple[ShadingModel, ...])
     seconds: dict[Kind, float] = {"analytic": took}
     for kind in dict.fromkeys(rung.kind for rung in rungs if rung.kind != "analytic"):
         scene = SurfaceScene(subject.mesh, subject.camera, gloss=True) if kind == "gloss" else plain
-        options = TransportOptions(order=_ORDER, bounces=int(kind != "visibility"), paths=sampling.paths)
-        half = max(1, sampling.transport // 2)
+        options = TransportOptions(
+            order=_ORDER, bounces=int(kind != "visibility"), paths=sampling.paths_per_hit
+        )
+        half = max(1, sampling.spp // 2)
         (first, one), (second, two) = (_timed(scene, half, 2 * seed + k, options) for k in (1, 2))
         transport[kind], seconds[kind] = (first, second), one + two
     whole = maps.mask if subject.spec.shape in FACE_SHAPES else maps.coverage >= 1.0

@@ -35,7 +35,7 @@ _PATH_ROWS = "path_"
 
 def models_table(study: Study) -> Table:
     """Relative errors: models by lights, with time and crossover."""
-    results = study.ladder.results
+    results = study.scene.results
     rows = []
     for row in results[0].rows:
         cells = [format_percent(result.row(row.key).errors.rel.value) for result in results]
@@ -67,10 +67,10 @@ def models_table(study: Study) -> Table:
 def causes_table(study: Study, key: str) -> Table:
     """A model's error by cause: the change that each makes, and its part of the squared error."""
     rows = []
-    for result in study.ladder.results:
+    for result in study.scene.results:
         parts = result.row(key).parts
         cells = [f"{format_percent(parts[cause].size)} ({100 * parts[cause].share:.0f})" for cause in CAUSES]
-        spectral = spectral_size(study.rivals, result.light.name)
+        spectral = spectral_size(study.renderers, result.light.name)
         rows.append(
             [
                 result.light.name,
@@ -93,7 +93,7 @@ def causes_table(study: Study, key: str) -> Table:
 
 def errors_table(study: Study) -> Table:
     """The other measures of all models, over all lights."""
-    results = study.ladder.results
+    results = study.scene.results
     flips = results[0].rows[0].errors.flip is not None
     rows = []
     for row in results[0].rows:
@@ -159,10 +159,10 @@ def times_table(study: Study) -> Table:
 
 def renderers_table(study: Study) -> Table:
     """Every registered renderer: what it accounts for, its distance from the truth, or why there is none."""
-    lights = list(dict.fromkeys(rival.light for rival in study.rivals))
+    lights = list(dict.fromkeys(rival.light for rival in study.renderers))
     rows = []
-    for name in dict.fromkeys(rival.renderer for rival in study.rivals):
-        mine = {rival.light: rival for rival in study.rivals if rival.renderer == name}
+    for name in dict.fromkeys(rival.renderer for rival in study.renderers):
+        mine = {rival.light: rival for rival in study.renderers if rival.renderer == name}
         one = next(iter(mine.values()))
         cells = [_rival_cell(mine[light]) for light in lights]
         noise = (
@@ -207,7 +207,7 @@ def _interval(error: TimedError) -> str:
 
 
 def _crossover(study: Study, key: str) -> str:
-    middle = float(np.median([result.crossover(key) for result in study.ladder.results]))
+    middle = float(np.median([result.crossover(key) for result in study.scene.results]))
     if not math.isfinite(middle):
         return "\u2013"
     return "< 1" if middle < 1 else f"{middle:.0f}" if middle < 1000 else f"{float(f'{middle:.2g}'):.0f}"
@@ -231,7 +231,7 @@ _PAPER = "order2"  # the model of the paper that the project is about
 
 def write_study_page(path: Path, study: Study, tolerance: float, record: Record) -> None:
     """Write the page, self-contained; versions and machine of a record go into its footer."""
-    scene = study.ladder.name.replace("_", " ")
+    scene = study.scene.name.replace("_", " ")
     sections = [
         Section("In short", [_key_numbers(study), _explained(study)]),
         Section("The lights", [_lights(study)]),
@@ -241,7 +241,7 @@ def write_study_page(path: Path, study: Study, tolerance: float, record: Record)
         Section("Other measures of the same errors", [errors_table(study)]),
         Section("Where the time goes", [times_table(study)]),
     ]
-    if study.rivals:
+    if study.renderers:
         sections.append(Section("Every renderer that is registered", [renderers_table(study)]))
     machine = ", ".join(f"{key} {value}" for key, value in record.machine.items())
     versions = ", ".join(f"{name} {number}" for name, number in record.versions.items())
@@ -263,7 +263,7 @@ def scene_section(study: Study, tolerance: float) -> Section:
         models_table(study),
         *_pictures(study),
     ]
-    return Section(f"The scene {study.ladder.name.replace('_', ' ')}", blocks)
+    return Section(f"The scene {study.scene.name.replace('_', ' ')}", blocks)
 
 
 def draw_pareto(study: Study) -> bytes:
@@ -288,19 +288,19 @@ def error_maps(study: Study) -> dict[str, bytes]:
             limit=_MAP_LIMIT,
             signed=True,
         )
-        for result in study.ladder.results
+        for result in study.scene.results
         for rung in study.rungs
     }
 
 
 def _lights(study: Study) -> Gallery:
-    mask = study.ladder.known.mask
+    mask = study.scene.inputs.mask
     pictures = [
         (
             png_bytes(on_white(show_linear(result.truth.mean), mask)),
             f"{result.light.name}: {describe_light(result.light)}",
         )
-        for result in study.ladder.results
+        for result in study.scene.results
     ]
     return Gallery(
         pictures, "The truth under every light of this run, all exposed alike. White is not counted."
@@ -308,7 +308,7 @@ def _lights(study: Study) -> Gallery:
 
 
 def _key_numbers(study: Study) -> KeyNumbers:
-    results = study.ladder.results
+    results = study.scene.results
     errors = {result.light.name: result.row(_PAPER).errors for result in results}
     worst = max(errors, key=lambda name: errors[name].rel.value)
     numbers = []
@@ -331,10 +331,10 @@ def _key_numbers(study: Study) -> KeyNumbers:
 
 
 def _explained(study: Study) -> str:
-    size, count = study.ladder.subject.camera.size, int(study.ladder.known.mask.sum())
+    size, count = study.scene.subject.camera.size, int(study.scene.inputs.mask.sum())
     counted = (
         "whole pixels of face skin"
-        if study.ladder.known.maps.mask.sum() == count
+        if study.scene.inputs.maps.mask.sum() == count
         else "pixels that the surface fills"
     )
     return (
@@ -372,7 +372,7 @@ def _pictures(study: Study) -> list[Block]:
 
 
 def _gallery(study: Study, result: LightResult) -> Gallery:
-    mask, last = study.ladder.known.mask, study.rungs[-1]
+    mask, last = study.scene.inputs.mask, study.rungs[-1]
     shown = [("path traced", result.truth.mean)]
     shown += [
         (rung.name, result.row(rung.key).image) for rung in study.rungs if rung.key in (_PAPER, last.key)
@@ -391,14 +391,14 @@ def _gallery(study: Study, result: LightResult) -> Gallery:
 
 def _difference(study: Study, result: LightResult, key: str) -> npt.NDArray[np.float64]:
     """(H, W) signed error over the RMS of the truth, mean over colours; NaN where nothing is counted."""
-    mask, truth = study.ladder.known.mask, result.truth.mean
+    mask, truth = study.scene.inputs.mask, result.truth.mean
     power = float((truth**2 * mask[..., None]).sum() / (3 * mask.sum()))
     difference = (result.row(key).image - truth).mean(axis=-1) / np.sqrt(power)
     return np.asarray(np.where(mask > 0, difference, np.nan))
 
 
 def _by_hardness(study: Study) -> dict[str, tuple[LightResult, ...]]:
-    results = study.ladder.results
+    results = study.scene.results
     return {
         "Soft light": tuple(result for result in results if not result.hard),
         "Hard light": tuple(result for result in results if result.hard),

@@ -50,8 +50,8 @@ def to_csv(study: Study) -> str:
     writer = csv.writer(text, lineterminator="\n")
     split = [f"{kind}_{cause}" for kind in ("size", "share") for cause in CAUSES]
     writer.writerow([*_COLUMNS, *split, "note"])
-    scene, nothing = study.ladder.name, [""] * (2 * len(CAUSES))
-    for result in study.ladder.results:
+    scene, nothing = study.scene.name, [""] * (2 * len(CAUSES))
+    for result in study.scene.results:
         for row in result.rows:
             seconds = study.times[row.key].warm.total if row.key in study.times else None
             parts = [row.parts[cause] for cause in CAUSES]
@@ -61,31 +61,31 @@ def to_csv(study: Study) -> str:
         for path in result.paths:
             cells = [_cell(path.noise), *[""] * 6, _cell(path.seconds), "", *nothing]
             writer.writerow([scene, result.light.name, f"path_{path.samples}spp", *cells, "noise"])
-    for rival in study.rivals:
+    for rival in study.renderers:
         cells = [*map(_cell, [*_numbers(rival.errors), rival.seconds]), "", *nothing]
         writer.writerow([scene, rival.light, rival.renderer, *cells, rival.failure])
     return text.getvalue()
 
 
 def _records(study: Study, tolerance: float, add: _Add) -> Iterator[Record]:
-    scene = dotted_word(study.ladder.name)
+    scene = dotted_word(study.scene.name)
     best = cheapest_model(study, tolerance)
     if best is not None:
         yield add(f"validate.cheapest.{scene}.rel_rmse", best.error, "1")
         yield add(f"validate.cheapest.{scene}.seconds", best.seconds, "s")
     for rung in study.rungs:
         yield from _of_rung(study, rung, f"validate.{rung.key}.{scene}", add)
-    for result in study.ladder.results:
+    for result in study.scene.results:
         for row in result.rows:
             yield from _of_row(result, row, f"validate.{row.key}.{scene}.{result.light.name}", add)
         for path in result.paths:
             name = f"validate.path_{path.samples}spp.{scene}.{result.light.name}"
             yield add(f"{name}.noise", path.noise, "1")
             yield add(f"{name}.seconds", path.seconds, "s")
-        spectral = spectral_size(study.rivals, result.light.name)
+        spectral = spectral_size(study.renderers, result.light.name)
         if spectral is not None:
             yield add(f"validate.path.{scene}.{result.light.name}.cause.spectral", spectral, "1")
-    for rival in study.rivals:
+    for rival in study.renderers:
         yield from _of_rival(rival, f"validate.{dotted_renderer(rival.renderer)}.{scene}.{rival.light}", add)
 
 

@@ -103,7 +103,7 @@ def _measure(ladder: SceneResults, name: str, result: LightResult) -> RendererRe
     pair = IndependentPair(
         np.asarray(first.image, dtype=np.float64), np.asarray(second.image, dtype=np.float64)
     )
-    mask, truth = ladder.known.mask, result.truth
+    mask, truth = ladder.inputs.mask, result.truth
     power = float(((truth.first * truth.second) * mask[..., None]).sum())
     noise = float((((pair.first - pair.second) ** 2) * mask[..., None]).sum() / 2)
     return RendererResult(

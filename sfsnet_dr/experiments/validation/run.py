@@ -129,9 +129,9 @@ def measure_scene(
     with progress_bar(f"{name}: times", len(study.rungs)) as advance:
         times = {}
         for rung in study.rungs:
-            times[rung.key] = time_model(ladder.known, rung, lights[0])
+            times[rung.key] = time_model(ladder.inputs, rung, lights[0])
             advance()
-    return replace(study, times=times, rivals=_rivals(ladder, renderers))
+    return replace(study, times=times, renderers=_rivals(ladder, renderers))
 
 
 def _subject(request: Request) -> Subject:

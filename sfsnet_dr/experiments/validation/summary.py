@@ -30,31 +30,31 @@ class Study:
     """Everything that was measured on a scene.
 
     Attributes:
-        ladder: errors of the models.
+        scene: errors of the models.
         times: of the rungs, by key.
         cold: first calls, by key; empty where they were not measured.
-        rivals: every registered renderer; empty where none was asked for.
+        renderers: every registered renderer; empty where none was asked for.
     """
 
-    ladder: SceneResults
+    scene: SceneResults
     times: Mapping[str, ModelTime]
     cold: Mapping[str, KernelTime] = field(default_factory=dict)
-    rivals: tuple[RendererResult, ...] = ()
+    renderers: tuple[RendererResult, ...] = ()
 
     @property
     def rungs(self) -> tuple[ShadingModel, ...]:
         """The shading models."""
-        return shading_models(self.ladder.subject.spec.has_gloss)
+        return shading_models(self.scene.subject.spec.has_gloss)
 
     @property
     def natural(self) -> tuple[LightResult, ...]:
         """The results under the natural lights; empty if they were not all among the lights."""
-        found = tuple(result for result in self.ladder.results if result.light.name in NATURAL)
+        found = tuple(result for result in self.scene.results if result.light.name in NATURAL)
         return found if len(found) == len(NATURAL) else ()
 
     def capture_seconds(self, rung: ShadingModel) -> float:
         """What a rung costs once a subject."""
-        return self.ladder.known.seconds[rung.kind]
+        return self.scene.inputs.seconds[rung.kind]
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def path_candidates(results: Iterable[LightResult]) -> list[TimedError]:
 
 def all_candidates(study: Study) -> list[Candidate]:
     """All rungs and the path tracer, the quickest image first."""
-    results = study.ladder.results
+    results = study.scene.results
     found = []
     for rung in study.rungs:
         worst = max(results, key=lambda result: result.row(rung.key).errors.rel.value)
@@ -124,8 +124,8 @@ def cheapest_model(study: Study, tolerance: float) -> Candidate | None:
 
 def summary_sentence(study: Study, tolerance: float) -> str:
     """What ``cheapest_model`` found, for a reader who knows nothing else."""
-    best, scene = cheapest_model(study, tolerance), study.ladder.name.replace("_", " ")
-    allowed, count = f"{100 * tolerance:g} %", len(study.ladder.results)
+    best, scene = cheapest_model(study, tolerance), study.scene.name.replace("_", " ")
+    allowed, count = f"{100 * tolerance:g} %", len(study.scene.results)
     lights = "the one light" if count == 1 else f"all {count} lights"
     if best is None:
         near = min(all_candidates(study), key=lambda candidate: candidate.error)

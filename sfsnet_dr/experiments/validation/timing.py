@@ -203,7 +203,7 @@ def _main(size: int, gloss: bool) -> dict[str, KernelTime]:
     from sfsnet_dr.scene.subject import build_subject
 
     spec = SceneSpec("cold", "sphere", camera=CameraSpec(size=size), gloss=gloss)
-    spec = replace(spec, sampling=SamplingSpec(transport=2, paths=1))
+    spec = replace(spec, sampling=SamplingSpec(spp=2, paths_per_hit=1))
     subject, light, rungs = build_subject(spec), natural_light(0), shading_models(gloss)
     dr.eval(dr.arange(mi.Float, 4) + 1.0)  # LLVM itself has to start once
     found = {}

@@ -52,12 +52,12 @@ def _lead(found: WorstLight) -> str:
     own, angle = found.own, np.degrees(np.arccos(found.direction[2]))
     mean, rare = _percent(mean_error(own.prior)), _percent(percentile_95(own.prior))
     return (
-        f"On the {_spoken(found.name)}, order-{found.order} spherical-harmonic shading is off by {mean} of the "
-        f"image under usual light ({rare} or more under one light in twenty), and by up to "
+        f"On the {_spoken(found.name)}, order-{found.order} spherical-harmonic shading is off by {mean} of "
+        f"the image under usual light ({rare} or more under one light in twenty), and by up to "
         f"{_percent(found.directional.error.value)} under a single directional light, which then comes from "
-        f"{angle:.0f} degrees off the viewer's direction. All errors are root mean square over the pixels that "
-        "count, against path tracing with shadows and interreflection, with the noise of the path tracing "
-        "taken out."
+        f"{angle:.0f} degrees off the viewer's direction. All errors are root mean square over the pixels "
+        "that count, against path tracing with shadows and interreflection, with the noise of the path "
+        "tracing taken out."
     )
 
 

@@ -259,7 +259,7 @@ def _traced_sky(of: Target, sky: Array, seed: int) -> list[Image]:
         for sign, part in zip((1, -1), parts, strict=True):
             if part.max() > 1e-3 * parts[0].max():
                 of.scene.set_environment(part[..., None])
-                paths = of.subject.spec.sampling.reference
+                paths = of.subject.spec.sampling.reference_spp
                 total += sign * path_trace(of.scene, paths, 4 * seed + 2 * k + (sign < 0)).mean
         images.append(total)
     return images
@@ -274,7 +274,7 @@ def _shown_direction(
     first, second, model = lamps.images(weights, order)
     light = [(directions[index], np.ones(3))]
     scene = SurfaceScene(of.subject.mesh, of.scene.camera, light, gloss=of.scene.gloss)
-    paths = of.subject.spec.sampling.reference
+    paths = of.subject.spec.sampling.reference_spp
     traced = [path_trace(scene, paths, 4 * seed + k).mean for k in range(2)]
     return Shown(
         None,

@@ -70,8 +70,8 @@ def memoize(make: Callable[Concatenate[K, P], V]) -> Callable[Concatenate[K, P],
 
 @memoize
 def surface_maps(subject: Subject, seed: int = 0) -> SurfaceMaps:
-    """Normals and covered albedo; ``sampling.transport`` of the subject's scene says with how many rays."""
-    rays = max(MAP_RAYS, subject.spec.sampling.transport)
+    """Normals and covered albedo; ``sampling.spp`` of the subject's scene says with how many rays."""
+    rays = max(MAP_RAYS, subject.spec.sampling.spp)
     seen = render_aovs(SurfaceScene(subject.mesh, subject.camera), rays, seed, TransportOptions(order=0))
     return SurfaceMaps(_planes(seen.normal), _planes(seen.albedo * seen.coverage[..., None]))
 
@@ -96,9 +96,9 @@ def light_radiance(light: Light) -> Radiance:
 
 def _transport(subject: Subject, seed: int, bounces: int) -> Planes:
     sampling = subject.spec.sampling
-    options = TransportOptions(order=TRANSPORT_ORDER, bounces=bounces, paths=sampling.paths)
+    options = TransportOptions(order=TRANSPORT_ORDER, bounces=bounces, paths=sampling.paths_per_hit)
     scene = SurfaceScene(subject.mesh, subject.camera)
-    return render_aovs(scene, sampling.transport, seed, options).transport
+    return render_aovs(scene, sampling.spp, seed, options).transport
 
 
 def _planes(image: Planes) -> Planes:

@@ -52,8 +52,8 @@ def sample_face(seed: int, spec: SceneSpec) -> Face:
     model, streams = load_face_model(spec), streams_of(seed)
     person = Person.sample(streams(Stream.PERSON))
     shape = model.shape(person, streams, spec.head)
-    if spec.head.tone is not None:
-        person = replace(person, tone=spec.head.tone)
+    if spec.head.ita_deg is not None:
+        person = replace(person, tone=spec.head.ita_deg)
     albedo = _given_albedo(seed, spec, model)
     appearance = None
     if albedo is None:
@@ -81,9 +81,9 @@ def sample_face(seed: int, spec: SceneSpec) -> Face:
 
 def _deepened(vertices: Array, eyes: Array, spec: SceneSpec, streams: Streams) -> Array:
     """A head that is deeper, or flatter, than its model's: slopes times a factor, seen from the front."""
-    if spec.head.depth == (1.0, 1.0):  # also keeps the last bits of heads that were rendered before
+    if spec.head.depth_scale == (1.0, 1.0):  # also keeps the last bits of heads that were rendered before
         return vertices
-    factor = streams(Stream.DEPTH).uniform(*spec.head.depth)
+    factor = streams(Stream.DEPTH).uniform(*spec.head.depth_scale)
     eye_level = eyes[:, 2].mean()
     deeper = vertices.copy()
     deeper[:, 2] = eye_level + factor * (vertices[:, 2] - eye_level)

@@ -106,7 +106,7 @@ def light_fingerprint(spec: LightSpec, count: int, seed: int) -> str:
     if spec.environments is not None:
         plain["environments"] = [sha256(path) for path in list_maps(spec.environments)]
     if spec.fitted:
-        plain["mixture"] = read_mixture(spec.mixture or FITTED).digest
+        plain["mixture"] = read_mixture(spec.light_prior_file or FITTED).digest
     text = json.dumps([_FORMAT, plain, count, seed], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 

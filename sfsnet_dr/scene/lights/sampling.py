@@ -74,7 +74,7 @@ def draw_kind(
     if kind == "lobes":
         return Light("lobes", sample_lights(rng, 1)[0].equirect(*MAP_SIZE))
     if kind == "fitted":
-        return draw_photo_light(rng, spec.mixture)
+        return draw_photo_light(rng, spec.light_prior_file)
     if kind == "directional":
         return _lamps(rng, directions)
     return Light("ambient", _dome(rng, 1.0))

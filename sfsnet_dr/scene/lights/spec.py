@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 from sfsnet_dr.core.config import added_field
 from sfsnet_dr.core.errors import InputError
@@ -23,11 +23,14 @@ class LightSpec:
         ambient: a dome without a direction but for a vertical gradient.
         lobes: soft lobes over a dome (``sh.priors``).
         fitted: soft lights as photographs have them (``scene.fitted_light``).
-        mixture: file that `sfsnet-dr fit-lights` wrote, to draw those from; left out, the package's own.
+        light_prior_file: file that `sfsnet-dr fit-lights` wrote, to draw those from; left out, the package's
+            own.
         environments: folder of environment maps (.exr, .hdr).
         exposure: range of the luminance of a white face's mean shading, spread evenly in its logarithm.
         white_balance: range of the share of the light's tint that the camera's white balance takes away.
     """
+
+    RENAMED: ClassVar[dict[str, str]] = {"mixture": "light_prior_file"}
 
     hdr: float = 0.3
     sun_sky: float = 0.15
@@ -39,7 +42,7 @@ class LightSpec:
     exposure: tuple[float, float] = (0.5, 1.2)
     white_balance: tuple[float, float] = (0.6, 1.0)
     fitted: float = added_field(0.0)
-    mixture: str | None = added_field(None)
+    light_prior_file: str | None = added_field(None)
 
     def weights(self) -> dict[LightKind, float]:
         """Kinds with a weight above 0 that can be drawn.

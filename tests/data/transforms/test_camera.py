@@ -100,7 +100,7 @@ def test_every_image_has_its_own_effects() -> None:
 
 
 def test_what_is_drawn() -> None:
-    options = PhotoOptions(exposure=0.5, white_balance=0.2, jpeg=0.5, grey=0.25)
+    options = PhotoOptions(exposure=0.5, white_balance=0.2, jpeg=0.5, grayscale_prob=0.25)
     drawn = [sample_effects(np.random.default_rng(seed), options) for seed in range(400)]
     again = sample_effects(np.random.default_rng(7), options)
     np.testing.assert_array_equal(drawn[7].gain, again.gain)
@@ -111,7 +111,7 @@ def test_what_is_drawn() -> None:
     assert np.mean([effect.quality is not None for effect in drawn]) == pytest.approx(0.5, abs=0.1)
     assert np.mean([effect.grey for effect in drawn]) == pytest.approx(0.25, abs=0.1)
     assert {effect.quality for effect in drawn} - {None} <= set(range(50, 99))
-    nothing = sample_effects(np.random.default_rng(0), PhotoOptions(0, 0, 0, 0, jpeg=0, grey=0))
+    nothing = sample_effects(np.random.default_rng(0), PhotoOptions(0, 0, 0, 0, jpeg=0, grayscale_prob=0))
     torch.testing.assert_close(take(nothing), image(), atol=0, rtol=0)
 
 
@@ -141,7 +141,7 @@ def test_a_photograph_may_end_within_the_frame() -> None:
 
 def test_a_share_of_photographs_is_cropped_and_the_rest_is_as_without() -> None:
     def draw(cropped: float) -> list[PhotoEffects]:
-        options = PhotoOptions(cropped=cropped)
+        options = PhotoOptions(crop_prob=cropped)
         return [sample_effects(np.random.default_rng(seed), options) for seed in range(400)]
 
     some, none = draw(0.5), draw(0.0)

@@ -104,8 +104,8 @@ def test_weights_tell_what_they_were_shown(tmp_path: Path) -> None:
         save_weights(path, SfSNet(4), {"recipe": {"data": data}})
         return path
 
-    assert load_model(weights("a", {"size": 64, "crop": 96})).view == Crop(64, 96)
-    assert load_model(weights("b", {"size": 64})).view == Crop(64, 128)
+    assert load_model(weights("a", {"size": 64, "crop": 96})).crop == Crop(64, 96)
+    assert load_model(weights("b", {"size": 64})).crop == Crop(64, 128)
     with pytest.raises(InputError, match=r"trained on 48 of the frame's 128 pixels shown with 64"):
         load_model(weights("c", {"size": 64, "crop": 48}))
 

@@ -44,12 +44,12 @@ why = "all"
 [[variants]]
 name = "display"
 why = "encoded values"
-recipe.real.values = "display"
+recipe.real.encoding = "srgb"
 [[variants]]
 name = "no-visibility"
 why = "no shadows"
 visibility = false
-price.sampling = { bounces = 0, directions = 0 }
+price.sampling = { max_bounces = 0, directional_lights = 0 }
 [[variants]]
 name = "torch-loss"
 why = "rounding"
@@ -61,7 +61,7 @@ scene.shape = "ict"
 [[variants]]
 name = "photographs"
 why = "real ones"
-recipe.real.share = 0.5
+recipe.real.batch_fraction = 0.5
 """
 RECIPE = """
 steps = 2
@@ -71,7 +71,7 @@ architecture = "skipnet"
 width = 2
 [data]
 size = 32
-lights = 4
+num_lights = 4
 light = { hdr = 0.0, sun_sky = 0.0, studio = 0.0, directional = 1.0 }
 [compute]
 precision = "float32"
@@ -175,7 +175,7 @@ def test_differences_are_paired_by_person_and_seed() -> None:
             "recipe.real.valuez",
             "display: recipe: real: unknown key 'valuez'; did you mean",
         ),
-        ('"display"\n[[', "3\n[[", r"display: recipe: real: values: 3 found; allowed: display, linear"),
+        ('"srgb"\n[[', "3\n[[", r"display: recipe: real: values: 3 found; allowed: linear, srgb"),
         (
             'scene.shape = "ict"',
             "scene.head.yaw = 90.0",
@@ -185,7 +185,11 @@ def test_differences_are_paired_by_person_and_seed() -> None:
         ('scene.shape = "ict"', "recipe = 3", "recipe: 3 found, a table is needed"),
         ('scene.shape = "ict"', "recipe.data.size = 64", r"data\.size = 64 found, 32 is needed"),
         ('scene.shape = "ict"', "recipe.seed = 4", "recipe: seed = 4 found, 0 is needed"),
-        ('scene.shape = "ict"', "recipe.real.share = 0.1", "ict: recipe: real.share: 0.1 of 2 images is 0"),
+        (
+            'scene.shape = "ict"',
+            "recipe.real.share = 0.1",
+            "ict: recipe: real.batch_fraction: 0.1 of 2 images is 0",
+        ),
         ('why = "all"', 'why = "all"\nvisibility = false', "'base' found first, one that differs in nothing"),
         ('"torch-loss"', '"base"', "name 'base' found, different words"),
         ('"torch-loss"', '"a/b"', "name 'a/b' found, different words"),
@@ -226,7 +230,7 @@ def losses(folder: Path, faces: Path, backend: Backend) -> list[dict[str, float]
         steps=6,
         batch_size=4,
         model=ModelRecipe("skipnet", width=4),
-        data=Augmentation(size=32, lights=4, light=LightSpec(hdr=0, sun_sky=0, studio=0, directional=1)),
+        data=Augmentation(size=32, num_lights=4, light=LightSpec(hdr=0, sun_sky=0, studio=0, directional=1)),
         compute=ComputeRecipe(precision="float32", loss_backend=backend),
     )
     return read_history(train(recipe, faces, folder, progress=False).history)

@@ -24,7 +24,7 @@ TINY = SceneSpec(
     "anny",
     camera=CameraSpec(size=24),
     head=HeadSpec(subdivision=0),
-    sampling=SamplingSpec(transport=16, reference=64),
+    sampling=SamplingSpec(spp=16, reference_spp=64),
 )
 
 
@@ -95,7 +95,7 @@ def test_a_run_goes_on_where_it_was(tmp_path: Path, counted: list[int]) -> None:
 
 def test_what_cannot_go_on_is_refused(tmp_path: Path, counted: list[int]) -> None:
     bench_relight(TINY, tmp_path, faces=1)
-    other = replace(TINY, sampling=SamplingSpec(transport=32))
+    other = replace(TINY, sampling=SamplingSpec(spp=32))
     with pytest.raises(InputError, match=r"face-000000\.npz: measured with another scene"):
         bench_relight(other, tmp_path, faces=1)
     (tmp_path / "face-000000.npz").write_bytes(b"PK half a file")

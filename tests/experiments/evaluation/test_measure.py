@@ -176,13 +176,13 @@ def test_albedo_is_told_apart_where_the_truth_is_sure() -> None:
     (errors,) = found.images
     # Best constant for 1 and 3 is 2: errors 1 and 1 against squares 1 and 9.
     assert errors.albedo == pytest.approx(np.sqrt(2 / 10), abs=1e-4)
-    assert errors.albedo_sure == pytest.approx(0, abs=1e-4)
+    assert errors.albedo_confident == pytest.approx(0, abs=1e-4)
     records = {record.what for record in evaluation_records(collection, found, "")}
-    assert "yale_b.flat.albedo.sure.scaled_rms" in records
+    assert "yale_b.flat.albedo.confident.scaled_rms" in records
     (nowhere,) = measure_methods(
         FlatNormals(), collected(replace(plain, confidence=0 * plain.mask)).shots
     ).images
-    assert nowhere.albedo_sure is None
+    assert nowhere.albedo_confident is None
 
 
 def test_reconstruction_is_measured_in_8_bit_units() -> None:

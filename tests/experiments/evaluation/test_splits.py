@@ -38,7 +38,7 @@ def tuned(folder: Path, learnt: tuple[str, ...], lamps_by: str = "", by_sight: t
     held = tuple(name for name in SUBJECTS if name not in learnt)
     split = IdentitySplit("balls", 4, 1, learnt, held, lamps_by, by_sight)
     path = folder / "ft.safetensors"
-    save_weights(path, SfSNet(2, 2, 1), {"recipe": {"data": {"size": 32}}, "surfaces": split.metadata})
+    save_weights(path, SfSNet(2, 2, 1), {"recipe": {"data": {"size": 32}}, "normal_labels": split.metadata})
     return path
 
 
@@ -76,18 +76,18 @@ def test_a_network_that_was_told_no_truth_is_measured_on_everybody(tmp_path: Pat
     assert unseen_subjects(methods, collection) is collection
     [note] = provenance_notes(methods, collection)
     assert "from pictures of 4 of the 6 subjects without being told" in note
-    assert "ft-strangers: the same network on a5, a6" in note
+    assert "ft-unseen: the same network on a5, a6" in note
     found = measure_methods(methods[1], collection.shots)
     assert is_heldout(methods[0], found) is None
     apart = is_heldout(methods[1], found)
     assert apart is not None
-    assert apart.method == "ft-strangers"
+    assert apart.method == "ft-unseen"
     assert {errors.shot.subject for errors in apart.images} == set(SUBJECTS[4:])
     records = {record.what: record.value for record in evaluate(collection, methods, tmp_path / "out", "")}
     pooled = normal_statistics(apart.images)["mean_deg"]
-    assert records["balls.ft_strangers.normals.mean_deg"] == pytest.approx(pooled)
-    assert records["balls.ft.normals.mean_deg"] != records["balls.ft_strangers.normals.mean_deg"]
-    assert "ft-strangers" in (tmp_path / "out" / "index.html").read_text()
+    assert records["balls.ft_unseen.normals.mean_deg"] == pytest.approx(pooled)
+    assert records["balls.ft.normals.mean_deg"] != records["balls.ft_unseen.normals.mean_deg"]
+    assert "ft-unseen" in (tmp_path / "out" / "index.html").read_text()
     methods, _ = methods_for(
         collection.shots, RequestedMethod(("flat",), (tuned(tmp_path, SUBJECTS, "skipnet"),))
     )
@@ -105,7 +105,7 @@ def test_all_folds_together_measure_everybody_once(tmp_path: Path) -> None:
         paths.append(tmp_path / f"{fold}" / "ft.safetensors")
         paths[-1].parent.mkdir()
         recipe = {"data": {"size": 32}}
-        save_weights(paths[-1], SfSNet(2, 2, 1), {"recipe": recipe, "surfaces": split.metadata})
+        save_weights(paths[-1], SfSNet(2, 2, 1), {"recipe": recipe, "normal_labels": split.metadata})
     methods, _ = methods_for(collection.shots, RequestedMethod(("flat",), tuple(paths)))
     assert [method.name for method in methods] == ["flat", "ft-fold0of2", "ft-fold1of2"]
     records = {record.what: record.value for record in evaluate(collection, methods, tmp_path / "out", "")}

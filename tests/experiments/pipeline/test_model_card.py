@@ -73,7 +73,7 @@ def test_all_shipped_networks_together_are_small_and_load_by_name() -> None:
     for name in SHIPPED:
         trained = load_model(name)
         assert trained.model.architecture == name
-        assert trained.view.size == 64
+        assert trained.crop.size == 64
         assert "/" not in json.dumps(trained.metadata)  # no path of the machine that trained it
         normal = trained.model(torch.rand(1, 3, 64, 64)).normal
         assert bool(torch.isfinite(normal).all())

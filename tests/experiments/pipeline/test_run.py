@@ -43,14 +43,14 @@ batch_size = 2
 {model}
 [data]
 size = 32
-held_back = 2
-lights = 4
+num_val = 2
+num_lights = 4
 [data.light]
 directional = 1.0
 sun_sky = 0.0
 studio = 0.0
 [real]
-share = {share}
+batch_fraction = {share}
 [compute]
 loss_backend = "torch"
 """
@@ -209,7 +209,7 @@ def trained(answer: NetworkOutput) -> LoadedModel:
 
 
 def test_errors_are_those_of_the_answer(data: Path) -> None:
-    truth = holdout_batch(load_faces(data), Augmentation(lights=4), 4)
+    truth = holdout_batch(load_faces(data), Augmentation(num_lights=4), 4)
     right = NetworkOutput(truth.normal, truth.albedo, truth.light)
     numbers = rendered_errors(trained(right), truth)
     for name in ("normals.mean_deg", "albedo.mae", "light.relative"):
@@ -229,7 +229,7 @@ def test_errors_are_those_of_the_answer(data: Path) -> None:
     np.testing.assert_allclose(numbers["light.relative"], 0.5, rtol=1e-5)
 
 
-@pytest.mark.parametrize("values", ["linear", "display"])
+@pytest.mark.parametrize("values", ["linear", "srgb"])
 def test_reconstruction_is_the_metric_of_one_image(values: Any) -> None:
     generator = torch.Generator().manual_seed(0)
     answer = NetworkOutput(
@@ -263,7 +263,7 @@ def test_display_referred_networks_see_photographs_as_their_files_have_them() ->
     answer.light[:, ::9] = (4 * torch.pi) ** 0.5  # shading 1
     model = Oracle(answer)
     model.register_forward_pre_hook(lambda _m, given: seen.append(given[0]))
-    numbers = photograph_errors(LoadedModel(model, Crop(32), "display", {}), photographs)
+    numbers = photograph_errors(LoadedModel(model, Crop(32), "srgb", {}), photographs)
     torch.testing.assert_close(seen[0], images.float() / 255)
     np.testing.assert_allclose(numbers["recon.mae"], 0, atol=1e-3)
     assert (

@@ -176,7 +176,7 @@ def test_a_light_is_known_by_its_numbers() -> None:
 
 def test_a_scene_is_known_by_what_its_file_says() -> None:
     [(subject, _)] = load_subjects(replace(SMALL, scenes=GROUND[:1]))
-    same = replace(subject, spec=replace(subject.spec, sampling=SamplingSpec(reference=2)))
+    same = replace(subject, spec=replace(subject.spec, sampling=SamplingSpec(reference_spp=2)))
     assert scene_hash(subject) == scene_hash(same)
     for other in (
         replace(subject, seed=1),

@@ -40,7 +40,7 @@ LIGHTS = "natural,directional60"
 
 
 def subject_of(shape: str, **more: object) -> Subject:
-    sampling = SamplingSpec(transport=32, paths=4, reference=64)
+    sampling = SamplingSpec(spp=32, paths_per_hit=4, reference_spp=64)
     spec = SceneSpec("ball", "sphere", camera=CameraSpec(size=32), sampling=sampling)
     return build_subject(replace(spec, shape=shape, **more))  # type: ignore[arg-type]
 
@@ -67,7 +67,7 @@ def expected_error(order: int, angle: float) -> float:
 
 @pytest.mark.parametrize("order", [0, 1, 2, 3, 4])
 def test_errors_under_a_lamp_on_a_sphere_are_the_closed_forms(study: Study, order: int) -> None:
-    hard = study.ladder.results[-1]
+    hard = study.scene.results[-1]
     assert hard.light.name == "directional60"
     row = hard.row(f"order{order}")
     # The counted disc ends a pixel before the outline and perspective hides the rim: within 12 % of it.
@@ -100,17 +100,17 @@ def test_a_cast_shadow_and_a_bounce_are_seen_where_they_are() -> None:
 
 
 def test_the_path_tracers_noise_and_its_crossover(study: Study) -> None:
-    result = study.ladder.results[0]
+    result = study.scene.results[0]
     noise = {path.samples: path.noise for path in result.paths}
     assert noise[4] == pytest.approx(2 * noise[16], rel=1e-9)
     assert result.crossover("order0") < result.crossover("order2")
 
 
 def test_registered_renderers_agree_with_the_ladder(study: Study) -> None:
-    rivals = {(rival.renderer, rival.light): rival for rival in study.rivals}
+    rivals = {(rival.renderer, rival.light): rival for rival in study.renderers}
     ours = rivals["drjit-order2", "directional60"]
     assert ours.errors is not None
-    row = study.ladder.results[-1].row("order2")
+    row = study.scene.results[-1].row("order2")
     assert ours.errors.rel.value == pytest.approx(row.errors.rel.value, rel=0.02)
     path = rivals["mitsuba-llvm-path", "directional60"]
     assert path.errors is not None

@@ -51,7 +51,7 @@ TINY = Effort(size=24, samples=64, level=1)
 
 
 def subject_of(gloss: bool) -> Subject:
-    spec = SceneSpec("hollow", "bowl", gloss=gloss, sampling=SamplingSpec(reference=256))
+    spec = SceneSpec("hollow", "bowl", gloss=gloss, sampling=SamplingSpec(reference_spp=256))
     return Subject(spec, 0, bowl_and_ball(), CameraSpec())
 
 

@@ -20,7 +20,7 @@ from sfsnet_dr.sh.kernel import clamped_cosine
 from sfsnet_dr.sh.projection import equirect_directions
 
 #: Few rays: the same are given to every form.
-FEW = SamplingSpec(transport=16, paths=1)
+FEW = SamplingSpec(spp=16, paths_per_hit=1)
 COLOUR = (0.6, 0.4, 0.2)
 COLOURED = SceneSpec("sphere", "sphere", albedo=COLOUR, camera=CameraSpec(size=32), sampling=FEW)
 HEAD = SceneSpec(

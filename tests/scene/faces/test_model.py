@@ -88,7 +88,7 @@ def test_a_deeper_head_differs_along_the_line_of_sight_alone() -> None:
     front = HeadSpec(subdivision=0, yaw=0.0, pitch=0.0, roll=0.0, scale_jitter=0.0, shift_jitter=0.0)
     far = CameraSpec(distance=1e4)  # so that depth does not show in perspective
     usual, deep, drawn = (
-        sample_face(4, SceneSpec("x", "anny", camera=far, head=replace(front, depth=depth)))
+        sample_face(4, SceneSpec("x", "anny", camera=far, head=replace(front, depth_scale=depth)))
         for depth in ((1.0, 1.0), (1.3, 1.3), (1.0, 1.3))
     )
     eyes = usual.landmarks["eye_image_left"]

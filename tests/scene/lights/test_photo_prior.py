@@ -165,7 +165,7 @@ def test_banks_draw_fitted_lights(tmp_path: Path) -> None:
     assert draw_photo_light(np.random.default_rng(0), str(path)).environment is not None
     fingerprints = {
         light_fingerprint(FITTED_ONLY, 3, 0),
-        light_fingerprint(LightSpec(fitted=1, mixture=str(path)), 3, 0),
+        light_fingerprint(LightSpec(fitted=1, light_prior_file=str(path)), 3, 0),
         light_fingerprint(LightSpec(), 3, 0),
     }
     assert len(fingerprints) == 3
