@@ -50,8 +50,8 @@ def calibrate_image_sets(
         on_capture: called after each.
 
     Returns:
-        ``listing.calibrated_by`` names the weights. Photographs under lamps that cannot be found, or that have no
-        name, have no direction.
+        ``listing.calibrated_by`` names the weights. Photographs under lamps that cannot be found, or that
+        have no name, have no direction.
 
     Raises:
         InputError: for unusable weights or heads, or if no capture has as many lamps as are needed.
