@@ -26,7 +26,7 @@ test-all: $(READY)
 # them. The same call goes on where it was stopped. STAGES=training/full.toml is the paper's size.
 STAGES ?= training/small.toml
 train: $(READY)
-	$(BIN)/sfsnet-dr stages $(STAGES) --out out/$(basename $(notdir $(STAGES))) \
+	$(BIN)/sfsnet-dr train-all $(STAGES) --out out/$(basename $(notdir $(STAGES))) \
 	  $(if $(PHOTOGRAPHS),--photographs $(PHOTOGRAPHS),--rendered-photographs) \
 	  $(if $(DATA),--data $(DATA)) $(if $(ENVIRONMENTS),--environments $(ENVIRONMENTS))
 

@@ -10,11 +10,11 @@ from typing import Final
 from sfsnet_dr.cli.bench import BenchLoss, BenchRelight, BenchRender, BenchSynth, BenchTrain
 from sfsnet_dr.cli.common import Command
 from sfsnet_dr.cli.evaluation import DataCheck, Evaluate, PhotometricStereo
-from sfsnet_dr.cli.faces import Relight, Show, Synth
+from sfsnet_dr.cli.faces import ContactSheet, Relight, Synth
 from sfsnet_dr.cli.start import Demo, Doctor
-from sfsnet_dr.cli.training import Ablations, Decompose, PseudoLabel, Stages, Train
+from sfsnet_dr.cli.training import Ablations, Decompose, PseudoLabel, Train, TrainAll
 from sfsnet_dr.cli.validation import Regress, Stability, Validate, WorstLight
-from sfsnet_dr.cli.weights import FitLights, WeightsCheck, WeightsList, WeightsMean, WeightsPack
+from sfsnet_dr.cli.weights import FitLightPrior, WeightsAverage, WeightsCheck, WeightsList, WeightsQuantize
 
 #: Heading -> command -> (dataclass, the line of the overview).
 GROUPS: Final[dict[str, dict[str, tuple[type[Command], str]]]] = {
@@ -28,17 +28,17 @@ GROUPS: Final[dict[str, dict[str, tuple[type[Command], str]]]] = {
     },
     "Rendered faces": {
         "synth": (Synth, "Render faces with ground truth and light transport"),
-        "show": (Show, "Write a contact sheet of rendered faces"),
+        "contact-sheet": (ContactSheet, "Write a contact sheet of rendered faces"),
         "relight": (Relight, "Relight one rendered face"),
     },
     "Training": {
         "train": (Train, "Train one network by a recipe"),
-        "stages": (Stages, "Run all training stages and measure the networks"),
+        "train-all": (TrainAll, "Run all training stages and measure the networks"),
         "ablations": (Ablations, "Train networks that differ in one setting and compare them"),
         "pseudo-label": (PseudoLabel, "Label photographs with the predictions of a network"),
-        "fit-lights": (FitLights, "Fit a prior over light to photographs"),
-        "weights mean": (WeightsMean, "Average checkpoints"),
-        "weights pack": (WeightsPack, "Quantize weights to eight bits"),
+        "fit-light-prior": (FitLightPrior, "Fit a prior over light to photographs"),
+        "weights average": (WeightsAverage, "Average checkpoints"),
+        "weights quantize": (WeightsQuantize, "Quantize weights to eight bits"),
     },
     "Evaluation": {
         "evaluate": (Evaluate, "Measure networks and baselines on faces with known normals"),

@@ -57,13 +57,13 @@ class DataCheck:
 
 @dataclass(frozen=True)
 class PhotometricStereo:
-    """Find normals and albedo of faces from photographs under known lights, as labels to test or train with.
+    """Compute normals and albedo of faces from photographs under several lights, as labels.
 
-    DIR is a folder of Extended Yale B or Photoface. Each capture with four lights or more is solved by a
-    robust fit a pixel; the strengths of the lamps and what oblique light has too much are estimated from all
-    of them. With --lamps-by nothing is read of where the lamps were: pictures of one capture under a dozen or
-    more of them, and a network's first guess, tell it (estimation/light_calibration.py). OUT gets
-    surfaces.json, one .safetensors a capture (data/normal_labels.py) and sheet.png.
+    DIR is a folder of Extended Yale B or Photoface. Every image set (one face, one pose) with four lights or
+    more is solved by a robust fit per pixel; light intensities are estimated from all image sets. With
+    --calibrate-with the known light directions are not read: they are calibrated from the images and a
+    network's normals, which needs a dozen lights. Writes OUT/index.json, one .safetensors per image set, and
+    OUT/sheet.png.
 
     Example: sfsnet-dr photometric-stereo CroppedYale --out out/yale-b
     """
@@ -71,20 +71,19 @@ class PhotometricStereo:
     folder: DatabaseFolder
     out: Out
     database: Annotated[Literal["yale-b", "photoface"], arg(help="Which database it is.")] = "yale-b"
-    lamps_by: Annotated[
+    calibrate_with: Annotated[
         str | None,
         arg(
             metavar="WEIGHTS",
-            help="Do not read where the lamps were but find it with this network's help.",
+            help="Calibrate the lights from the images with this network, in place of the known directions.",
         ),
     ] = None
-    heads: Annotated[
+    prior_faces: Annotated[
         tuple[Path, ...],
         arg(
             metavar="DIR...",
-            help="Folders of `sfsnet-dr synth`, with --lamps-by: how their heads face on average says which "
-            "way is straight ahead, and how steep they are how deep faces are; left out, the network's "
-            "mistakes about both stay in the lamps.",
+            help="With --calibrate-with: folders of `sfsnet-dr synth`. The mean orientation and slope of "
+            "their heads resolve the bas-relief ambiguity. Default: the network's normals alone do.",
         ),
     ] = ()
     check_faces: Annotated[
@@ -107,18 +106,20 @@ class PhotometricStereo:
         from sfsnet_dr.report.console import progress_bar
         from sfsnet_dr.report.record import write_records
 
-        if self.heads and self.lamps_by is None:
-            raise InputError("--heads: given without --lamps-by; where the lamps were is read then")
+        if self.prior_faces and self.calibrate_with is None:
+            raise InputError(
+                "--prior-faces: found without --calibrate-with; known light directions need no prior"
+            )
         known = open_database(self.database, self.folder)
         with progress_bar("reading photographs", len(known.captures())) as advance:
             read = read_image_sets(known, advance)
-        if self.lamps_by is not None:
-            with progress_bar("finding the lamps", len(read.faces)) as advance:
-                read = calibrate_image_sets(read, self.lamps_by, self.heads, advance)
+        if self.calibrate_with is not None:
+            with progress_bar("calibrating lights", len(read.faces)) as advance:
+                read = calibrate_image_sets(read, self.calibrate_with, self.prior_faces, advance)
         with progress_bar("photometric stereo", len(read.faces)) as advance:
             found = compute_normal_labels(read, self.out, on_capture=advance)
         records = label_records(known, found, command_line()) + self._checked()
-        if self.lamps_by is not None:
+        if self.calibrate_with is not None:
             errors = light_direction_errors(known, read.listing)
             records += light_records(read.listing, errors, command_line())
         write_records(self.out / "records.json", records)
@@ -163,17 +164,20 @@ class Evaluate:
         arg(metavar="FILE", help="For 3dmm: .npz with files and points (N, 68, 2); else looked for in DIR."),
     ] = None
     model_path: Annotated[
-        Path | None, arg(metavar="PATH", help="For 3dmm: ICT FaceKit, as `sfsnet-dr fit-lights` takes it.")
+        Path | None,
+        arg(metavar="PATH", help="For 3dmm: ICT FaceKit, as `sfsnet-dr fit-light-prior` takes it."),
     ] = None
     faces: Annotated[
         tuple[Path, ...], arg(metavar="DIR", help="For all: folders of rendered faces that lie elsewhere.")
     ] = ()
-    most: Annotated[int, arg(help="Photographs of celeba, a folder or synthetic, at most.")] = 300
+    max_images: Annotated[
+        int, arg(help="Measure at most this many images of celeba, a folder or synthetic.")
+    ] = 300
     database: Annotated[
         Literal["yale-b", "photoface", "multipie"], arg(help="Whose lights `lights` are.")
     ] = "yale-b"
-    once: Annotated[
-        bool, arg(help="Do not ask networks for the mirror images too: half the time, less exact.")
+    no_tta: Annotated[
+        bool, arg(help="No test-time augmentation (mirror images): half the time, less exact.")
     ] = False
     quick: Annotated[bool, arg(help="Four subjects, half of the lights, 60 photographs.")] = False
     as_json: Json = False
@@ -188,8 +192,8 @@ class Evaluate:
         folders = [Path(folder) for folder in rest]
         if not rest and Path(kind).is_dir() and kind not in (*KINDS, "all"):
             kind, folders = "folder", [Path(kind)]
-        amount = Amount(self.most, self.quick, self.database)
-        wanted = RequestedMethod(self.methods, self.weights, self.landmarks, self.model_path, self.once)
+        amount = Amount(self.max_images, self.quick, self.database)
+        wanted = RequestedMethod(self.methods, self.weights, self.landmarks, self.model_path, self.no_tta)
         if kind == "all":
             if len(folders) != 1:
                 raise InputError(f"all: {len(folders)} folders found, one is needed")

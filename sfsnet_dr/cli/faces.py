@@ -70,10 +70,10 @@ class Synth:
 
 
 @dataclass(frozen=True)
-class Show:
+class ContactSheet:
     """A contact sheet of rendered faces: sheet.png and a page, index.html, with the spread of skin tones.
 
-    Example: sfsnet-dr show out/faces --out out/sheet
+    Example: sfsnet-dr contact-sheet out/faces --out out/sheet
     """
 
     data: Positional[Annotated[Path, arg(metavar="DIR", help="Folder that `sfsnet-dr synth` wrote.")]]

@@ -8,8 +8,27 @@ from __future__ import annotations
 
 from typing import Final
 
-#: Command names of version 0.0, by what they are called now.
-RENAMED_COMMANDS: Final[dict[str, str]] = {}
+#: Old command -> new command.
+RENAMED_COMMANDS: Final[dict[str, str]] = {
+    "stages": "train-all",
+    "show": "contact-sheet",
+    "fit-lights": "fit-light-prior",
+    "weights mean": "weights average",
+    "weights pack": "weights quantize",
+}
 
-#: Options by command (new name): old option -> new option, both with the leading dashes.
-RENAMED_OPTIONS: Final[dict[str, dict[str, str]]] = {}
+#: Command (new name) -> old option -> new option.
+RENAMED_OPTIONS: Final[dict[str, dict[str, str]]] = {
+    "train": {
+        "--labels": "--pseudo-labels",
+        "--surfaces": "--normal-labels",
+        "--start": "--init-weights",
+    },
+    "train-all": {"--surfaces": "--normal-labels"},
+    "ablations": {"--surfaces": "--normal-labels"},
+    "pseudo-label": {"--held-back": "--num-val", "--most": "--max-images"},
+    "photometric-stereo": {"--lamps-by": "--calibrate-with", "--heads": "--prior-faces"},
+    "evaluate": {"--most": "--max-images", "--once": "--no-tta"},
+    "fit-light-prior": {"--most": "--max-images"},
+    "weights average": {"--shares": "--coefficients"},
+}

@@ -22,11 +22,11 @@ from sfsnet_dr.models.shipped import BEST
 
 @dataclass(frozen=True)
 class Train:
-    """Train a network by a recipe, on faces relit on the fly.
+    """Train one network by a recipe, on rendered faces that are relit on the fly.
 
-    Without --data the faces are rendered first, into OUT/faces. A stopped run goes on with --resume and ends
-    with the same weights as one that was never stopped. Several processes or GPUs share every batch where
-    torchrun starts it: torchrun --nproc-per-node 2 --no-python sfsnet-dr train RECIPE --data DIR --out OUT
+    Without --data the faces are rendered first, into OUT/faces. --resume continues a stopped run; it ends
+    with the same weights as a run that was never stopped. Several processes or GPUs share every batch:
+    torchrun --nproc-per-node 2 --no-python sfsnet-dr train RECIPE --data DIR --out OUT
 
     Example: sfsnet-dr train training/recipes/smoke.toml --out out/smoke
     """
@@ -44,15 +44,14 @@ class Train:
         Path | None,
         arg(metavar="DIR", help="Environment maps (.exr, .hdr) to light by, in place of the recipe's."),
     ] = None
-    labels: Annotated[
-        Path | None, arg(metavar="DIR", help="Photographs that `sfsnet-dr pseudo-label` labelled.")
+    pseudo_labels: Annotated[
+        Path | None, arg(metavar="DIR", help="Photographs labelled by `sfsnet-dr pseudo-label`.")
     ] = None
-    surfaces: Annotated[
-        Path | None, arg(metavar="DIR", help="Faces that `sfsnet-dr photometric-stereo` labelled.")
+    normal_labels: Annotated[
+        Path | None, arg(metavar="DIR", help="Normals computed by `sfsnet-dr photometric-stereo`.")
     ] = None
-    start: Annotated[
-        Path | None,
-        arg(metavar="FILE", help="Weights of the same network to begin with, in place of random ones."),
+    init_weights: Annotated[
+        Path | None, arg(metavar="FILE", help="Weights of the same network to start from. Default: random.")
     ] = None
     resume: Annotated[bool, arg(help="Go on from the last checkpoint in --out.")] = False
     tensorboard: Annotated[bool, arg(help="Write for TensorBoard too, into OUT/tensorboard.")] = False
@@ -78,11 +77,11 @@ class Train:
             recipe,
             data,
             self.out,
-            labels=self.labels,
-            surfaces=self.surfaces,
+            labels=self.pseudo_labels,
+            surfaces=self.normal_labels,
             resume=self.resume,
             tensorboard=self.tensorboard,
-            start=self.start,
+            start=self.init_weights,
         )
         records = [
             make_record(
@@ -95,7 +94,7 @@ class Train:
 
 @dataclass(frozen=True)
 class Decompose:
-    """Take photographs of faces apart: normals, albedo, shading, reconstruction and three relit views.
+    """Split photographs of faces into normals, albedo, shading and light, and relight them.
 
     Writes OUT/NAME for each NAME.png: eight pictures, a sheet of them, and decomposition.exr to compute with.
     A picture must be 128 x 128 in the canonical frame (eye centres at (45, 48) and (83, 48), x right, y
@@ -151,24 +150,26 @@ class Decompose:
 
 @dataclass(frozen=True)
 class PseudoLabel:
-    """Label photographs of faces with a network's answers, to train another network on (labels, confidence).
+    """Label photographs of faces with the predictions of a network and their confidence.
 
     PHOTOS is a folder of JPEG or PNG files whose 68 landmarks a face are in landmarks.npz, or in
     PHOTOS_landmarks.npz beside it (files: N names, points: N x 68 x 2 pixels), or a folder of such folders.
-    Photographs without a face are skipped and told in OUT/manifest.json, where those held back are named too.
-    The same command goes on where it was stopped.
+    OUT/manifest.json lists the skipped photographs with reasons, and those left for validation. The same
+    command continues a stopped run.
 
     Example: sfsnet-dr pseudo-label photos --weights out/skipnet/weights.safetensors --out out/labels
     """
 
     photographs: Positional[Annotated[Path, arg(metavar="PHOTOS", help="Folder of photographs.")]]
-    weights: Annotated[Path, arg(metavar="FILE", help="Weights of `sfsnet-dr train`, or a shipped name.")]
+    weights: Annotated[
+        Path, arg(metavar="FILE", help="Weights file, or the name of a network in the package.")
+    ]
     out: Out
     size: Annotated[
         int | None, arg(help="Width of the labels in pixels; left out, that of the weights' training.")
     ] = None
-    held_back: Annotated[int, arg(help="Photographs that get no labels, to measure on.")] = 500
-    most: Annotated[int | None, arg(help="Label no more than these many.")] = None
+    num_val: Annotated[int, arg(help="Photographs left without labels, for validation.")] = 500
+    max_images: Annotated[int | None, arg(help="Label at most this many photographs.")] = None
     as_json: Json = False
 
     def run(self) -> Result:
@@ -177,7 +178,7 @@ class PseudoLabel:
         from sfsnet_dr.report.record import make_record
         from sfsnet_dr.train.pseudo_label import pseudo_label
 
-        source = photo_folder(self.photographs, held_back=self.held_back, most=self.most)
+        source = photo_folder(self.photographs, held_back=self.num_val, most=self.max_images)
         with progress_bar("labelling photographs", len(source.train)) as advance:
 
             def on_shard(count: int) -> None:
@@ -199,7 +200,7 @@ class PseudoLabel:
 
 
 @dataclass(frozen=True)
-class Stages:
+class TrainAll:
     """Run every stage of SfS-supervision and measure the networks: OUT/index.html shows all of them.
 
     Renders faces into OUT/faces unless --data is given, trains SkipNet on them, labels the photographs with
@@ -207,7 +208,7 @@ class Stages:
     goes on where it was stopped; a stage that is done is not run again. Photographs come as `sfsnet-dr
     pseudo-label` takes them.
 
-    Example: sfsnet-dr stages training/small.toml --photographs photos --out out/train
+    Example: sfsnet-dr train-all training/small.toml --photographs photos --out out/train
     """
 
     stages: Positional[
@@ -225,9 +226,9 @@ class Stages:
         Path | None,
         arg(metavar="DIR", help="Environment maps (.exr, .hdr) to light by, in place of the recipes'."),
     ] = None
-    surfaces: Annotated[
+    normal_labels: Annotated[
         Path | None,
-        arg(metavar="DIR", help="Labels by `sfsnet-dr photometric-stereo`, to fine-tune SfSNet on at last."),
+        arg(metavar="DIR", help="Labels by `sfsnet-dr photometric-stereo`, to fine-tune SfSNet at the end."),
     ] = None
     as_json: Json = False
 
@@ -242,18 +243,18 @@ class Stages:
             photographs=self.photographs,
             rendered_photographs=self.rendered_photographs,
             environments=self.environments,
-            surfaces=self.surfaces,
+            surfaces=self.normal_labels,
         )
         return result_of_records(run_stages(plan, command=command_line()), f"page: {self.out / 'index.html'}")
 
 
 @dataclass(frozen=True)
 class Ablations:
-    """Train networks that differ in one thing each and measure them alike: OUT/index.html shows the outcome.
+    """Train networks that differ in one setting each and compare them: OUT/index.html.
 
-    Renders a few faces for each scene, trains a small network for each variant of FILE, and measures all of
-    them on the same held-back rendered faces. The same command goes on where it was stopped; what is done is
-    not done again. Variants that lack their data are left out, and told.
+    Renders a few faces per scene, trains a small network per variant of FILE, and measures all networks on
+    the same validation faces. The same command continues a stopped run. Variants that lack their data are
+    left out and listed.
 
     Example: sfsnet-dr ablations training/ablations.toml --out out/ablations
     """
@@ -262,7 +263,7 @@ class Ablations:
         Annotated[Path, arg(metavar="FILE", help="Set of ablations (TOML); its head says what it costs.")]
     ]
     out: Out
-    surfaces: Annotated[
+    normal_labels: Annotated[
         Path | None,
         arg(metavar="DIR", help="Labels by `sfsnet-dr photometric-stereo`, to measure on too."),
     ] = None
@@ -287,7 +288,7 @@ class Ablations:
             self.ablations,
             self.out,
             photographs=self.photographs,
-            surfaces=self.surfaces,
+            surfaces=self.normal_labels,
             environments=self.environments,
             model_path=self.model_path,
         )

@@ -82,10 +82,12 @@ class WeightsCheck:
 
 
 @dataclass(frozen=True)
-class WeightsPack:
-    """Keep a network's large tensors in eight bits: a quarter of the bytes, and no path of this machine.
+class WeightsQuantize:
+    """Quantize the large tensors of a weights file to eight bits: a quarter of the size.
 
-    Example: sfsnet-dr weights pack out/sfsnet/weights.safetensors --out sfsnet.safetensors
+    Folders named in the metadata are reduced to their last part.
+
+    Example: sfsnet-dr weights quantize out/sfsnet/weights.safetensors --out sfsnet.safetensors
     """
 
     weights: Positional[Annotated[Path, arg(metavar="FILE", help="Weights that `sfsnet-dr train` wrote.")]]
@@ -107,20 +109,20 @@ class WeightsPack:
 
 
 @dataclass(frozen=True)
-class WeightsMean:
-    """Average networks that were trained on from one another: often better than each of them.
+class WeightsAverage:
+    """Average checkpoints of one network; the average is often better than each of them.
 
-    What the last file says of its training is kept, and a checksum and the share of every file.
+    The metadata of the last file is kept, with the checksum and coefficient of every file.
 
-    Example: sfsnet-dr weights mean before.safetensors after.safetensors --shares 3 7 --out mean.safetensors
+    Example: sfsnet-dr weights average a.safetensors b.safetensors --coefficients 3 7 --out mean.safetensors
     """
 
     weights: Positional[
         Annotated[tuple[Path, ...], arg(metavar="FILE", help="Weights of one kind of network.")]
     ]
     out: Annotated[Path, arg(metavar="FILE", help="File to write.")]
-    shares: Annotated[
-        tuple[float, ...], arg(metavar="SHARE", help="Of each file, in any unit; left out, equal ones.")
+    coefficients: Annotated[
+        tuple[float, ...], arg(metavar="C", help="Weight of each file, any scale. Default: equal.")
     ] = ()
     as_json: Json = False
 
@@ -131,8 +133,8 @@ class WeightsMean:
         from sfsnet_dr.report.record import make_record
         from sfsnet_dr.train.averaging import average_weights
 
-        model = average_weights(self.weights, self.shares)
-        shares = self.shares or (1.0,) * len(self.weights)
+        model = average_weights(self.weights, self.coefficients)
+        shares = self.coefficients or (1.0,) * len(self.weights)
         parts = [
             {"sha256": sha256(weights_path(path)), "share": share}
             for path, share in zip(self.weights, shares, strict=True)
@@ -143,15 +145,15 @@ class WeightsMean:
 
 
 @dataclass(frozen=True)
-class FitLights:
-    """Fit a face model and its light to each photograph of a folder, and a mixture over all their lights.
+class FitLightPrior:
+    """Fit a prior over light: a Gaussian mixture over the lights of photographs.
 
     PHOTOS is a folder as `sfsnet-dr pseudo-label` takes it. Writes OUT/fits.jsonl, a line a photograph,
     OUT/mixture.json, and OUT/overlays.png to look at. A recipe draws lights from the mixture with
     data.light.fitted above 0, and data.light.light_prior_file for another one than the package's own. The
     same command goes on where it was stopped.
 
-    Example: sfsnet-dr fit-lights photos --model-path FaceXModel --out out/lights
+    Example: sfsnet-dr fit-light-prior photos --model-path FaceXModel --out out/lights
     """
 
     photographs: Positional[Annotated[Path, arg(metavar="PHOTOS", help="Folder of photographs.")]]
@@ -159,9 +161,12 @@ class FitLights:
         Path, arg(metavar="PATH", help="ICT FaceKit: its compact .npz, a clone, or its FaceXModel folder.")
     ]
     out: Out
-    most: Annotated[int | None, arg(help="Take no more than these many, drawn by the seed.")] = None
+    max_images: Annotated[int | None, arg(help="Fit at most this many photographs, chosen by the seed.")] = (
+        None
+    )
     components: Annotated[
-        int | None, arg(help="Of the mixture; left out, 1 to 12: the number that foretells best.")
+        int | None,
+        arg(help="Number of mixture components. Default: the best of 1 to 12 by held-out log-likelihood."),
     ] = None
     draws: Annotated[int, arg(help="Lights drawn to see how many are impossible.")] = 20000
     seed: Annotated[int, arg(help="Of the choice of photographs and of the mixture's start.")] = 0
@@ -174,10 +179,10 @@ class FitLights:
         from sfsnet_dr.report.record import make_record
         from sfsnet_dr.scene.faces.linear_model import load_face_modes
 
-        options = FitLightsOptions(self.most, self.components, self.draws, self.seed)
+        options = FitLightsOptions(self.max_images, self.components, self.draws, self.seed)
         total = len(list_photos(self.photographs)[0])
         model = load_face_modes(self.model_path)
-        with progress_bar("fitting photographs", min(total, self.most or total)) as advance:
+        with progress_bar("fitting photographs", min(total, self.max_images or total)) as advance:
             told = fit_lights(self.photographs, model, self.out, options, on_photo=advance)
         records = [
             make_record(f"fit_lights.{name}", value, unit, command=command_line(), seed=self.seed)

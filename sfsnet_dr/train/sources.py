@@ -65,13 +65,13 @@ def configure_sources(
         "real.batch_fraction",
         recipe.real.batch_fraction,
         labels,
-        "--labels DIR (see `sfsnet-dr pseudo-label`)",
+        "--pseudo-labels DIR (see `sfsnet-dr pseudo-label`)",
     )
     _together(
         "normal_labels.batch_fraction",
         recipe.normal_labels.batch_fraction,
         surfaces,
-        "--surfaces DIR (see `sfsnet-dr photometric-stereo`)",
+        "--normal-labels DIR (see `sfsnet-dr photometric-stereo`)",
     )
     sources: list[SourceConfig] = []
     metadata = {}

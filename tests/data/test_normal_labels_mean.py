@@ -54,4 +54,4 @@ def test_bad_heads_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     with pytest.raises(InputError, match="no bundles"):
         mean_normals(tmp_path)
     assert main(["photometric-stereo", str(tmp_path), "--out", "o", "--heads", str(tmp_path)]) == 2
-    assert "--heads: given without --lamps-by" in capsys.readouterr().err
+    assert "--heads: given without --calibrate-with" in capsys.readouterr().err

@@ -168,7 +168,7 @@ def test_labels_without_known_lamps_are_nearly_those_with(
     tmp_path: Path, oracle: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = write_yale_b(tmp_path / "yale", 2)
-    for out, more in (("known", []), ("found", ["--lamps-by", "skipnet"])):
+    for out, more in (("known", []), ("found", ["--calibrate-with", "skipnet"])):
         assert main(["photometric-stereo", str(folder), "--out", str(tmp_path / out), *more, "--json"]) == 0
         records = {record["what"]: record["value"] for record in json.loads(capsys.readouterr().out)}
         assert ("stereo.yale_b.lamps_found_deg" in records) == bool(more)

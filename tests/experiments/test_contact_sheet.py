@@ -125,7 +125,7 @@ def half_a_bundle(faces: Path, folder: Path) -> list[str]:
     write_bundle(target / BUNDLE, read_bundle(faces / BUNDLE))
     (target / BUNDLE).write_bytes((faces / BUNDLE).read_bytes()[:5000])
     (target / "manifest.jsonl").write_bytes((faces / "manifest.jsonl").read_bytes())
-    return ["show", str(target), "--out", str(folder / "out")]
+    return ["contact-sheet", str(target), "--out", str(folder / "out")]
 
 
 @pytest.mark.parametrize(
@@ -149,8 +149,14 @@ def half_a_bundle(faces: Path, folder: Path) -> list[str]:
         (poisoned, "0 bytes"),
         (no_bundle, "a bundle of `sfsnet-dr synth` expected"),
         (half_a_bundle, "face-000000.exr"),
-        (lambda faces, folder: ["show", str(folder), "--out", str(folder / "out")], "no bundles listed"),
-        (lambda faces, folder: ["show", str(faces), "--out", str(folder / "out"), "--count=0"], "count: 0"),
+        (
+            lambda faces, folder: ["contact-sheet", str(folder), "--out", str(folder / "out")],
+            "no bundles listed",
+        ),
+        (
+            lambda faces, folder: ["contact-sheet", str(faces), "--out", str(folder / "out"), "--count=0"],
+            "count: 0",
+        ),
     ],
 )
 def test_bad_input_is_one_line(

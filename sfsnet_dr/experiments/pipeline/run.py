@@ -1,4 +1,4 @@
-"""``sfsnet-dr stages``: SfS-supervision from rendered faces to measured networks, one resumable command.
+"""``sfsnet-dr train-all``: SfS-supervision from rendered faces to measured networks, one resumable command.
 
 Source: Sengupta et al., CVPR 2018, section 3.1: SkipNet learns from rendered faces, its answers label
 photographs, and SfSNet learns from both; the networks that the paper compares with follow.
@@ -61,7 +61,7 @@ def run_stages(plan: Plan, *, command: str, console: Console | None = None) -> l
     rule("measure", "held-back faces and photographs")
     records = write_results(plan, source, command, begin)
     if plan.surfaces is None:
-        rule(FINE_TUNED, "left out; --surfaces gives labels by photometric stereo to fine-tune on")
+        rule(FINE_TUNED, "left out; --normal-labels gives labels by photometric stereo to fine-tune on")
         return records
     _train(plan, FINE_TUNED, folder / FINE_TUNED, rule)
     return [*records, *measure_fine_tuned(plan, plan.surfaces, command)]

@@ -142,7 +142,7 @@ def read_mixture(path: Path | str = FITTED) -> LightMixture:
         factors[:, rows, columns] = plain["factors"]
         return LightMixture(shares, np.array(plain["means"], np.float64), factors, plain["source"])
     except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file; `sfsnet-dr fit-lights` writes one") from error
+        raise InputError(f"{path}: no such file; `sfsnet-dr fit-light-prior` writes one") from error
     except (OSError, ValueError, KeyError, TypeError, InputError) as error:
         raise InputError(f"{path}: no mixture of lights ({error}); {_FORMAT} is needed") from error
 

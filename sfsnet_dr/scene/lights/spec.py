@@ -23,8 +23,8 @@ class LightSpec:
         ambient: a dome without a direction but for a vertical gradient.
         lobes: soft lobes over a dome (``sh.priors``).
         fitted: soft lights as photographs have them (``scene.fitted_light``).
-        light_prior_file: file that `sfsnet-dr fit-lights` wrote, to draw those from; left out, the package's
-            own.
+        light_prior_file: file that `sfsnet-dr fit-light-prior` wrote, to draw those from; left out, the
+            package's own.
         environments: folder of environment maps (.exr, .hdr).
         exposure: range of the luminance of a white face's mean shading, spread evenly in its logarithm.
         white_balance: range of the share of the light's tint that the camera's white balance takes away.

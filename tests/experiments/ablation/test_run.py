@@ -263,7 +263,7 @@ def test_the_command_renders_trains_and_measures_on_photographs(
     path = write_set(tmp_path / "set", lambda text: text.replace("seeds = [0, 1]", "seeds = [0]"))
     surfaces = write_faces(tmp_path / "labels", size=128)
     out = tmp_path / "out"
-    code = main(["ablations", str(path), "--out", str(out), "--surfaces", str(surfaces), "--json"])
+    code = main(["ablations", str(path), "--out", str(out), "--normal-labels", str(surfaces), "--json"])
     assert code == 0
     what = {record["what"]: record for record in json.loads(capsys.readouterr().out)}
     for kind in ("synthetic", "measured"):

@@ -109,7 +109,7 @@ def test_all_stages_run_once_and_are_measured(
             run_stages(plan, command="", console=quiet())
         assert [folder.name for folder in begun] == ["skipnet-syn"]
     again = counted(monkeypatch)
-    records = run_stages(plan, command="sfsnet-dr stages", console=quiet())
+    records = run_stages(plan, command="sfsnet-dr train-all", console=quiet())
     assert [folder.name for folder in again] == list(NETWORKS[1:])
     what = {record.what: record for record in records}
     for name in NETWORKS:
