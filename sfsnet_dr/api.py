@@ -244,8 +244,8 @@ def shade(normal: Any, light: Any, albedo: Any = None, *, order: int = LIGHT_ORD
         >>> import sfsnet_dr as sf
         >>> up = np.zeros((1, 1, 3))
         >>> up[..., 1] = 1
-        >>> sf.shade(up, sf.Light.from_environment(1.0)).round(6)
-        array([[[1., 1., 1.]]])
+        >>> sf.shade(up, sf.Light.from_environment(1.0)).round(6).tolist()
+        [[[1.0, 1.0, 1.0]]]
     """
     if isinstance(normal, np.ndarray):
         from sfsnet_dr.render.shading_numpy import f_render, shading

@@ -62,8 +62,8 @@ class PhotometricStereo:
     DIR is a folder of Extended Yale B or Photoface. Every image set (one face, one pose) with four lights or
     more is solved by a robust fit per pixel; light intensities are estimated from all image sets. With
     --calibrate-with the known light directions are not read: they are calibrated from the images and a
-    network's normals, which needs a dozen lights. Writes OUT/index.json, one .safetensors per image set, and
-    OUT/sheet.png.
+    network's normals, which needs a dozen lights. Writes OUT/normal_labels.json, one .safetensors per image
+    set, and OUT/sheet.png.
 
     Example: sfsnet-dr photometric-stereo CroppedYale --out out/yale-b
     """

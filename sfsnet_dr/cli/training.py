@@ -201,38 +201,75 @@ class PseudoLabel:
 
 @dataclass(frozen=True)
 class TrainAll:
-    """Run every stage of SfS-supervision and measure the networks: OUT/index.html shows all of them.
+    """Run all stages of a training file: a release, or the networks of the paper side by side.
 
-    Renders faces into OUT/faces unless --data is given, trains SkipNet on them, labels the photographs with
-    its answers, and trains SfSNet and SkipNet+ on both and SfSNet on rendered faces alone. The same command
-    goes on where it was stopped; a stage that is done is not run again. Photographs come as `sfsnet-dr
-    pseudo-label` takes them.
+    A release (training/release/*.toml, with [[stage]] tables) makes one network, from rendered faces to
+    OUT/NAME.safetensors and its card. A set (training/small.toml, training/full.toml) trains SkipNet, labels
+    the photographs with it, trains SfSNet and SkipNet+ on both, and measures all of them: OUT/index.html.
+    The plan is printed first: what is done, what is missing, what it costs. The same command continues a
+    stopped run, and ends with the same weights.
 
     Example: sfsnet-dr train-all training/small.toml --photographs photos --out out/train
     """
 
     stages: Positional[
-        Annotated[Path, arg(metavar="FILE", help="Set of stages (TOML); its head says what it costs.")]
+        Annotated[Path, arg(metavar="FILE", help="Release or set of stages (TOML); its head says the cost.")]
     ]
     out: Out
-    data: FaceFolders = ()
     photographs: Annotated[Path | None, arg(metavar="DIR", help="Folder of photographs with landmarks.")] = (
         None
     )
-    rendered_photographs: Annotated[
-        bool, arg(help="Let rendered faces stand in for photographs, to see the stages run.")
-    ] = False
     environments: Annotated[
         Path | None,
         arg(metavar="DIR", help="Environment maps (.exr, .hdr) to light by, in place of the recipes'."),
     ] = None
+    database: Annotated[
+        Path | None, arg(metavar="DIR", help="Release: Extended Yale B, for labels without known lights.")
+    ] = None
+    model_path: Annotated[
+        Path | None, arg(metavar="PATH", help="Release: ICT FaceKit, for the faces that need it.")
+    ] = None
+    dry_run: Annotated[bool, arg(help="Release: print the plan and stop.")] = False
+    data: FaceFolders = ()
+    rendered_photographs: Annotated[
+        bool, arg(help="Set: let rendered faces stand in for photographs, to see the stages run.")
+    ] = False
     normal_labels: Annotated[
         Path | None,
-        arg(metavar="DIR", help="Labels by `sfsnet-dr photometric-stereo`, to fine-tune SfSNet at the end."),
+        arg(metavar="DIR", help="Set: labels by `sfsnet-dr photometric-stereo`, to fine-tune SfSNet last."),
     ] = None
     as_json: Json = False
 
     def run(self) -> Result:
+        from sfsnet_dr.core.config import read_toml
+        from sfsnet_dr.core.errors import InputError
+
+        release = "stage" in read_toml(self.stages)
+        other = {
+            "--data": self.data,
+            "--rendered-photographs": self.rendered_photographs,
+            "--normal-labels": self.normal_labels,
+        }
+        if not release:
+            other = {"--database": self.database, "--model-path": self.model_path, "--dry-run": self.dry_run}
+        for option, value in other.items():
+            if value:
+                kind = "release" if release else "set of stages"
+                raise InputError(f"{option}: has no effect on {self.stages}, a {kind}; leave it out")
+        return self._run_release() if release else self._run_set()
+
+    def _run_release(self) -> Result:
+        from sfsnet_dr.experiments.pipeline.release import Inputs, plan_release, plan_text, run_release
+        from sfsnet_dr.experiments.pipeline.release_config import read_release
+
+        release = read_release(self.stages, environments=self.environments)
+        inputs = Inputs(self.database, self.photographs, self.model_path)
+        if self.dry_run:
+            return Result(text=plan_text(plan_release(release, self.out, inputs)), json="[]")
+        records = run_release(release, self.out, inputs, command=command_line())
+        return result_of_records(records, f"weights: {self.out / release.spec.name}.safetensors")
+
+    def _run_set(self) -> Result:
         from sfsnet_dr.experiments.pipeline.config import read_plan
         from sfsnet_dr.experiments.pipeline.run import run_stages
 

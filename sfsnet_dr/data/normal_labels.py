@@ -1,10 +1,10 @@
 """Labels by photometric stereo: a folder of faces with normals, albedo and known lights.
 
-A folder holds ``surfaces.json`` and one ``CAPTURE.safetensors`` a capture. ``surfaces.json`` has ``format``,
-``database``, ``oblique`` and ``strength`` (the gains of ``fit.strobes``), ``calibrated_by`` (the network that
-helped to find where the lamps were; empty where the database tells it), ``captures`` (name -> subject and
-SHA-256 of its file) and ``skipped`` (name -> reason). A capture's tensors, S = 128 pixels wide in the
-canonical frame, C = 1 for grey pictures and else 3:
+A folder holds ``normal_labels.json`` and one ``CAPTURE.safetensors`` a capture. ``normal_labels.json`` has
+``format``, ``database``, ``oblique`` and ``strength`` (the gains of ``fit.strobes``), ``calibrated_by`` (the
+network that helped to find where the lamps were; empty where the database tells it), ``captures`` (name ->
+subject and SHA-256 of its file) and ``skipped`` (name -> reason). A capture's tensors, S = 128 pixels wide in
+the canonical frame, C = 1 for grey pictures and else 3:
 
 ``image`` (N, C, S, S) float16, linear, one a light. ``normal`` (3, S, S), ``albedo`` (C, S, S), ``mask``,
 ``confidence`` and ``residual`` (1, S, S) float16, see ``fit.photometric_stereo``. ``direction`` (N, 3)
@@ -41,7 +41,7 @@ from sfsnet_dr.data.transforms.mirror import mirror_normal
 from sfsnet_dr.sh.projection import project_directional
 
 FORMAT: Final = "sfsnet_dr.surfaces.1"
-INDEX: Final = "surfaces.json"
+INDEX: Final = "normal_labels.json"
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,13 +111,13 @@ def write_index(
     captures: Mapping[str, Mapping[str, str]],
     skipped: Mapping[str, str],
 ) -> None:
-    """Write ``surfaces.json``, which makes the folder readable; see this file's head."""
+    """Write ``normal_labels.json``, which makes the folder readable; see this file's head."""
     index = {"format": FORMAT, "database": database, **lamps, "captures": captures, "skipped": skipped}
     write_text(folder / INDEX, json.dumps(index, indent=1, sort_keys=True) + "\n")
 
 
 def read_index(folder: Path | str) -> dict[str, Any]:
-    """What ``surfaces.json`` says.
+    """What ``normal_labels.json`` says.
 
     Raises:
         InputError: if it is missing, damaged or of another format.

@@ -156,8 +156,8 @@ def relight_transport(transport: Floats | Transport, light: Radiance | Light) ->
         >>> transport = np.zeros((9, 2, 2, 3))
         >>> transport[0] = 0.5
         >>> light = sf.sh.Radiance(np.ones((9, 3)))
-        >>> sf.relight_transport(transport, light)[0, 0]
-        array([0.5, 0.5, 0.5])
+        >>> sf.relight_transport(transport, light)[0, 0].tolist()
+        [0.5, 0.5, 0.5]
     """
     if isinstance(transport, Transport):
         if isinstance(light, Light):

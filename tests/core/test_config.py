@@ -97,11 +97,11 @@ def test_the_defaults_are_the_dataset_of_the_repository() -> None:
     ("line", "words"),
     [
         ("albedo = [0.5, 1.5, 0.5]", "albedo[1]: 1.5 found, 0.0 to 1.0 allowed"),
-        ("[sampling]\nreference = 1", "sampling.reference_spp: 1 found"),
+        ("[sampling]\nreference_spp = 1", "sampling.reference_spp: 1 found"),
         ("[head]\nyaw = 90.0", "head.yaw: 90.0 found"),
-        ("[head]\ndepth = [1.0, 3.0]", "head.depth_scale[1]: 3.0 found, 0.5 to 2.0 allowed"),
+        ("[head]\ndepth_scale = [1.0, 3.0]", "head.depth_scale[1]: 3.0 found, 0.5 to 2.0 allowed"),
         (
-            "[head]\ndepth = [1.2, 1.0]",
+            "[head]\ndepth_scale = [1.2, 1.0]",
             "head.depth_scale: 1.2 to 1 found, the smaller number must come first",
         ),
         ("[camera]\nsize = 0", "camera.size: 0 found"),

@@ -250,7 +250,7 @@ def test_faces_are_listed_by_seed_in_whatever_order_they_come(
                 yield seed, work(seed)
 
     synthesize(tmp_path / "plain", TINY, 4)
-    monkeypatch.setattr(generate, "choose", lambda *arguments: Backwards())
+    monkeypatch.setattr(generate, "choose_workers", lambda *arguments: Backwards())
     synthesize(tmp_path / "backwards", TINY, 4)
     assert content(tmp_path / "backwards") == content(tmp_path / "plain")
 

@@ -236,7 +236,9 @@ def test_bad_fine_tunings_are_told(surfaces: Path, spheres: Path, tmp_path: Path
         split_subjects(alike, NormalLabelOptions(folds=2, fold=1), "x")
     with pytest.raises(InputError, match=r"surfaces\.fold: 4 found, 0 to 3 allowed"):
         NormalLabelOptions(fold=4)
-    with pytest.raises(InputError, match=r"surfaces\.share: 0\.5 in the recipe and no folder of labels"):
+    with pytest.raises(
+        InputError, match=r"normal_labels\.batch_fraction: 0\.5 in the recipe and no folder of labels"
+    ):
         train(RECIPE, spheres, tmp_path / "out", progress=False)
     with pytest.raises(InputError, match="2 and 2 of 4 images found, rendered faces are needed too"):
         replace(RECIPE, real=PseudoLabelOptions(batch_fraction=0.5))
@@ -245,8 +247,8 @@ def test_bad_fine_tunings_are_told(surfaces: Path, spheres: Path, tmp_path: Path
     with pytest.raises(InputError, match=r"16 x 16 pixels found, a square of 22 .*; see data\.size"):
         load_training_subjects(surfaces, RECIPE.normal_labels, Crop(16, 96))
     older = write_faces(tmp_path / "older", SUBJECTS[:2])
-    index = json.loads((older / "surfaces.json").read_text()) | {"format": "sfsnet_dr.surfaces.0"}
-    (older / "surfaces.json").write_text(json.dumps(index))
+    index = json.loads((older / "normal_labels.json").read_text()) | {"format": "sfsnet_dr.surfaces.0"}
+    (older / "normal_labels.json").write_text(json.dumps(index))
     with pytest.raises(InputError, match=r"format 'sfsnet_dr\.surfaces\.0' found"):
         load_training_subjects(older, RECIPE.normal_labels)
     (tmp_path / "r.toml").write_text("steps = 1\n[surfaces]\nfoldz = 3\n")

@@ -83,7 +83,7 @@ def test_a_failure_says_which_seed_and_why(how: str, kind: type[Exception], word
 
 def test_workers_end_with_their_parent() -> None:
     """A worker that went on alone would write into a folder that a resumed run is sweeping."""
-    code = "import time, sys, data.test_parallel as t; list(t.Crew(1).run(t.tell_and_sleep, [0]))"
+    code = "import time, sys, data.test_parallel as t; list(t.ProcessPool(1).run(t.tell_and_sleep, [0]))"
     parent = subprocess.Popen(
         [sys.executable, "-c", code],
         stdout=subprocess.PIPE,

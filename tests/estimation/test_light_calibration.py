@@ -220,7 +220,7 @@ def test_heads_tell_what_the_measure_of_a_stretch_makes_of_surfaces(
     normals = crop_normals()
     usual = torch.from_numpy(np.moveaxis(normals, -1, 0)).float()
     monkeypatch.setattr(uncalibrated, "mean_normals", lambda heads: usual)
-    monkeypatch.setattr(uncalibrated, "usual_slopes", lambda faces, heads: 1.0)
+    monkeypatch.setattr(uncalibrated, "resolve_bas_relief_scale", lambda faces, heads: 1.0)
     slopes = []
     for factor in (1.0, 1.05):
         head = (normals * np.array([1, factor, 1]), np.ones(normals.shape[:2], bool))

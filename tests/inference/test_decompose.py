@@ -130,7 +130,7 @@ def test_nothing_is_left_when_writing_fails(
     def fail(*_: object, **__: object) -> bytes:
         raise OSError("disk full")
 
-    monkeypatch.setattr(outputs, "sheet", fail)
+    monkeypatch.setattr(outputs, "draw_sheet", fail)
     with pytest.raises(OSError, match="disk full"):
         decompose_files([picture], tmp_path / "out", weights)
     assert list((tmp_path / "out").iterdir()) == []

@@ -95,7 +95,7 @@ def _built_in() -> dict[str, tuple[Any, ...]]:
         for word, bounces in BOUNCES.items()
     }
     remote = {
-        f"{tracer}-{word}": (others, "make", tracer, word, bounces)
+        f"{tracer}-{word}": (others, "make_remote", tracer, word, bounces)
         for tracer in ("mitsuba-scalar", "mitsuba-spectral", "cycles")
         for word, bounces in BOUNCES.items()
     }

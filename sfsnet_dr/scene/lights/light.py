@@ -90,8 +90,8 @@ class Light:
         Example:
             >>> import sfsnet_dr as sf
             >>> lamp = sf.Light.from_direction((1, 1, 1))
-            >>> lamp.directional[0][0].round(3)
-            array([0.577, 0.577, 0.577])
+            >>> lamp.directional[0][0].round(3).tolist()
+            [0.577, 0.577, 0.577]
         """
         toward = np.asarray(direction, np.float64)
         check_shape("direction", toward, "3")
@@ -114,8 +114,8 @@ class Light:
         Example:
             >>> import sfsnet_dr as sf
             >>> white = sf.Light.from_environment(1.0)
-            >>> white.shading_label().evaluate([[0, 0, 1]]).round(6)
-            array([[1., 1., 1.]])
+            >>> white.shading_label().evaluate([[0, 0, 1]]).round(6).tolist()
+            [[1.0, 1.0, 1.0]]
         """
         radiance = np.asarray(image, np.float64)
         if radiance.ndim == 0:

@@ -45,7 +45,7 @@ def test_a_place_shows_its_colour_and_the_rest_is_no_brighter_than_white_paper()
     [
         ({"flip": 1.5}, "flip"),
         ({"flip": float("nan")}, "flip"),
-        ({"lights": 0}, "lights: 0 found, 1 to"),
+        ({"num_lights": 0}, "num_lights: 0 found, 1 to"),
         ({"size": 4}, "size: 4 found"),
         ({"light": LightSpec(studio=-1.0)}, r"light\.studio: -1 found"),
     ],

@@ -117,7 +117,11 @@ def test_what_is_drawn() -> None:
 
 @pytest.mark.parametrize(
     ("values", "words"),
-    [({"blur": -1.0}, "blur"), ({"grey": 2.0}, "grey"), ({"quality": (90, 10)}, "quality")],
+    [
+        ({"blur": -1.0}, "blur"),
+        ({"grayscale_prob": 2.0}, "grayscale_prob"),
+        ({"quality": (90, 10)}, "quality"),
+    ],
 )
 def test_bad_options(values: dict[str, float], words: str) -> None:
     with pytest.raises(InputError, match=words):

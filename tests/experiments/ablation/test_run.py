@@ -141,7 +141,7 @@ def test_variants_are_trained_once_and_compared(
     assert "trained from 2 seeds" in page
 
     trainings.clear()
-    monkeypatch.setattr("sfsnet_dr.experiments.ablation.run.finish", lambda *_: [])
+    monkeypatch.setattr("sfsnet_dr.experiments.ablation.run.write_results", lambda *_: [])
     run_ablations(plan, command="", console=Console(quiet=True))
     assert not trainings, "nothing is trained twice"
     fewer = read_ablations(write_set(tmp_path / "set", lambda t: t.replace("faces = 3", "faces = 2")), out)
@@ -171,11 +171,11 @@ def test_differences_are_paired_by_person_and_seed() -> None:
     [
         ("faces = 3", "facez = 3", "unknown key 'facez'; did you mean 'faces'"),
         (
-            "recipe.real.values",
-            "recipe.real.valuez",
-            "display: recipe: real: unknown key 'valuez'; did you mean",
+            "recipe.real.encoding",
+            "recipe.real.encodinq",
+            "display: recipe: real: unknown key 'encodinq'; did you mean",
         ),
-        ('"srgb"\n[[', "3\n[[", r"display: recipe: real: values: 3 found; allowed: linear, srgb"),
+        ('"srgb"\n[[', "3\n[[", r"display: recipe: real: encoding: 3 found; allowed: linear, srgb"),
         (
             'scene.shape = "ict"',
             "scene.head.yaw = 90.0",
@@ -187,7 +187,7 @@ def test_differences_are_paired_by_person_and_seed() -> None:
         ('scene.shape = "ict"', "recipe.seed = 4", "recipe: seed = 4 found, 0 is needed"),
         (
             'scene.shape = "ict"',
-            "recipe.real.share = 0.1",
+            "recipe.real.batch_fraction = 0.1",
             "ict: recipe: real.batch_fraction: 0.1 of 2 images is 0",
         ),
         ('why = "all"', 'why = "all"\nvisibility = false', "'base' found first, one that differs in nothing"),

@@ -80,7 +80,7 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> list[int]:
             squared = np.full((self.lights, len(PARTS)), 1e-4 * (seed + 1))
             return FaceErrors(squared, image, image, np.ones((24, 24), np.float32))
 
-    monkeypatch.setattr(relight, "RelitFaces", StandIn)
+    monkeypatch.setattr(relight, "RelightBenchmark", StandIn)
     return seeds
 
 

@@ -67,7 +67,7 @@ def write_set(folder: Path, **more: int) -> Path:
     (folder / "recipes").mkdir(parents=True)
     for name, (model, share) in MODELS.items():
         (folder / "recipes" / f"{name}.toml").write_text(RECIPE.format(model=model, share=share))
-    values = {"photographs": 3, "held_back": 2, "pictures": 3} | more
+    values = {"photographs": 3, "num_val": 2, "pictures": 3} | more
     lines = [f"{key} = {value}" for key, value in values.items()]
     (folder / "set.toml").write_text("\n".join(['recipes = "recipes"', *lines]))
     return folder / "set.toml"
@@ -124,7 +124,7 @@ def test_all_stages_run_once_and_are_measured(
     for name in NETWORKS:
         assert f'id="{name}"' in page
 
-    monkeypatch.setattr("sfsnet_dr.experiments.pipeline.run.finish", lambda *_: [])
+    monkeypatch.setattr("sfsnet_dr.experiments.pipeline.run.write_results", lambda *_: [])
     run_stages(plan, command="", console=quiet())
     assert len(again) == 3, "nothing is trained twice"
     recipe = path.parent / "recipes" / "sfsnet-syn.toml"
@@ -140,7 +140,7 @@ def test_photographs_are_measured_under_their_own_name(
 ) -> None:
     counted(monkeypatch)
     dot = png_bytes(np.zeros((1, 1, 3), np.uint8))
-    for drawing in ("sheet", "loss_curve"):  # the test above draws them
+    for drawing in ("draw_sheet", "loss_curve"):  # the test above draws them
         monkeypatch.setattr(f"sfsnet_dr.experiments.pipeline.page.{drawing}", lambda *_, **__: dot)
     photographs = write_photos(tmp_path / "photographs", 6)
     plan = read_plan(write_set(tmp_path / "set"), tmp_path / "out", data=[data], photographs=photographs)
@@ -171,8 +171,8 @@ def test_a_set_that_cannot_run_is_refused_before_anything_is_done(data: Path, tm
     path.write_text('recipes = "recipes"\npicturez = 3\n')
     with pytest.raises(InputError, match="unknown key 'picturez'; did you mean 'pictures'"):
         read_plan(path, out, data=[data], rendered_photographs=True)
-    path.write_text('recipes = "recipes"\nheld_back = 0\n')
-    with pytest.raises(InputError, match="held_back: 0 found"):
+    path.write_text('recipes = "recipes"\nnum_val = 0\n')
+    with pytest.raises(InputError, match="num_val: 0 found"):
         read_plan(path, out, data=[data], rendered_photographs=True)
 
 
@@ -186,7 +186,7 @@ def test_held_back_faces_are_not_trained_on(data: Path, tmp_path: Path) -> None:
     both = load_faces([data, other])
     assert len(both) == 6
     assert both.names[-1] == "other/sphere_000.exr"
-    with pytest.raises(InputError, match=r"data\.held_back: 3 of 5 bundles found, less than half"):
+    with pytest.raises(InputError, match=r"data\.num_val: 3 of 5 bundles found, less than half"):
         load_faces(data, held_back=3)
 
 
@@ -284,7 +284,7 @@ def test_the_optional_stage_fine_tunes_and_measures_on_held_back_subjects(
     plan = read_plan(path, tmp_path / "out", data=[data], rendered_photographs=True, surfaces=surfaces)
     # Of the stages before it only SfSNet's weights are needed.
     monkeypatch.setattr("sfsnet_dr.experiments.pipeline.run.NETWORKS", ("skipnet-syn", "sfsnet"))
-    monkeypatch.setattr("sfsnet_dr.experiments.pipeline.run.finish", lambda *_: [])
+    monkeypatch.setattr("sfsnet_dr.experiments.pipeline.run.write_results", lambda *_: [])
     records = run_stages(plan, command="", console=quiet())
     names = {record.what for record in records}
     assert {f"balls.{name}.normals.mean_deg" for name in ("sfsnet", "sfsnet_ft_fold0of2")} <= names

@@ -45,7 +45,7 @@ def test_a_kept_bank_is_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     first = load_or_draw_lights(path, QUICK, 4, 0, lambda: drawn.append(1))
     assert len(drawn) == 4
     with monkeypatch.context() as patch:
-        patch.setattr(cache, "draw_bank", None)
+        patch.setattr(cache, "draw_lights", None)
         again = load_or_draw_lights(path, QUICK, 4, 0)
     for name in ("radiance", "toward", "power", "free"):
         np.testing.assert_array_equal(getattr(first, name), getattr(again, name))
