@@ -11,7 +11,7 @@ OUT ?= out/demo
 PYTHON_CYCLES ?= python3.11
 CYCLES := .venv-cycles
 
-.PHONY: train evaluate validation bench demo test test-all lint format setup cycles clean
+.PHONY: docs train evaluate validation bench demo test test-all lint format setup cycles clean
 
 demo: $(READY)
 	$(BIN)/sfsnet-dr demo --out $(OUT)
@@ -58,6 +58,10 @@ lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# The pages of docs/, into docs/_build/html; no network, warnings are errors.
+docs: $(READY)
+	$(BIN)/python -m sphinx -W --keep-going -b html docs docs/_build/html
 
 format: $(READY)
 	$(BIN)/ruff check --fix .
