@@ -1,6 +1,7 @@
 """Decompose one picture of a face, look at its parts, and relight it.
 
-A rendered face stands in for a photograph; ``sf.decompose("me.jpg", eyes=((201, 190), (255, 188)))`` takes yours.
+A rendered face stands in for a photograph; ``sf.decompose("me.jpg", eyes=((201, 190), (255, 188)))`` takes
+yours.
 """
 
 import numpy as np

@@ -171,7 +171,7 @@ def other_size(folder: Path) -> PseudoFaces:
 def test_bad_mixtures_are_told(labels: Path, spheres: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"real\.batch_fraction: 0\.1 of 4 images is 0"):
         replace(RECIPE, real=PseudoLabelOptions(batch_fraction=0.1))
-    with pytest.raises(InputError, match=r"real\.share: 1\.5 found, 0 to 1 allowed"):
+    with pytest.raises(InputError, match=r"real\.batch_fraction: 1\.5 found, 0 to 1 allowed"):
         PseudoLabelOptions(batch_fraction=1.5)
     with pytest.raises(InputError, match=r"real\.batch_fraction: 0\.5 in the recipe and no folder of labels"):
         train(RECIPE, spheres, tmp_path / "out", progress=False)

@@ -242,7 +242,7 @@ def test_bad_fine_tunings_are_told(surfaces: Path, spheres: Path, tmp_path: Path
         train(RECIPE, spheres, tmp_path / "out", progress=False)
     with pytest.raises(InputError, match="2 and 2 of 4 images found, rendered faces are needed too"):
         replace(RECIPE, real=PseudoLabelOptions(batch_fraction=0.5))
-    with pytest.raises(InputError, match="'display' found, 'linear' is needed"):
+    with pytest.raises(InputError, match="'srgb' found, 'linear' is needed"):
         replace(RECIPE, real=PseudoLabelOptions(encoding="srgb"))
     with pytest.raises(InputError, match=r"16 x 16 pixels found, a square of 22 .*; see data\.size"):
         load_training_subjects(surfaces, RECIPE.normal_labels, Crop(16, 96))

@@ -64,7 +64,7 @@ def test_changed_or_missing_labels_are_refused(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-1] + b"x")
     with pytest.raises(InputError, match="changed since"):
         load_normal_labels(tmp_path / "out")
-    with pytest.raises(InputError, match="no surfaces"):
+    with pytest.raises(InputError, match="no normal_labels"):
         load_normal_labels(tmp_path / "in")
     assert face.name == "1001/2008-02-23_11-23-00"
 

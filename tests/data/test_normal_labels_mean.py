@@ -53,5 +53,5 @@ def test_single_heads_are_those_of_the_mean(tmp_path: Path) -> None:
 def test_bad_heads_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(InputError, match="no bundles"):
         mean_normals(tmp_path)
-    assert main(["photometric-stereo", str(tmp_path), "--out", "o", "--heads", str(tmp_path)]) == 2
-    assert "--heads: given without --calibrate-with" in capsys.readouterr().err
+    assert main(["photometric-stereo", str(tmp_path), "--out", "o", "--prior-faces", str(tmp_path)]) == 2
+    assert "--prior-faces: found without --calibrate-with" in capsys.readouterr().err

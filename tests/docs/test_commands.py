@@ -1,4 +1,4 @@
-"""README's commands are real: each is parsed by the command itself, each make target and file exists."""
+"""Commands of README and docs are real: parsed by the command itself, make targets and files exist."""
 
 from __future__ import annotations
 
@@ -9,11 +9,19 @@ from pathlib import Path
 
 import pytest
 
+from sfsnet_dr.cli.help import subcommands
 from sfsnet_dr.cli.main import parse
 from sfsnet_dr.core.errors import InputError
 
-ROOT = Path(__file__).parent.parent
-TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
+ROOT = Path(__file__).parents[2]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    *sorted(path for path in (ROOT / "docs").glob("*.md") if path.name != "cli.md"),
+    *sorted((ROOT / "sfsnet_dr" / "models" / "weights").glob("*.md")),
+]
+TEXT = "\n".join(path.read_text(encoding="utf-8") for path in PAGES)
 
 
 def commands(text: str) -> list[list[str]]:
@@ -41,20 +49,37 @@ def check(command: list[str]) -> None:
                 assert (ROOT / word).is_file(), word
 
 
-@pytest.mark.parametrize("command", commands(TEXT) + inline(TEXT), ids=" ".join)
-def test_command_of_the_readme_is_accepted(command: list[str]) -> None:
+@pytest.mark.parametrize("command", commands(TEXT), ids=" ".join)
+def test_commands_are_accepted(command: list[str]) -> None:
     check(command)
 
 
+@pytest.mark.parametrize("command", inline(TEXT), ids=" ".join)
+def test_commands_in_the_text_name_what_there_is(command: list[str]) -> None:
+    """They may leave out what a command needs, and stand DIR for a folder."""
+    if command[1:2] in (["--help"], ["--version"], ["COMMAND"]) or subcommands(" ".join(command[1:])):
+        return
+    try:
+        check(command)
+    except InputError as error:
+        placeholder = any(word.isupper() for word in command[1:])
+        assert "Missing" in str(error) or (placeholder and "invalid choice" in str(error)), error
+
+
 def test_the_two_commands_are_there() -> None:
-    assert ["make", "demo"] in commands(TEXT)
-    assert ["make", "test"] in commands(TEXT)
+    assert ["make", "demo"] in commands(README)
+    assert ["make", "test"] in commands(README)
 
 
-def test_links_lead_to_files() -> None:
-    for target in re.findall(r"\]\(([^)#]+)\)", TEXT):
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_to_files(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)#]+)\)", page.read_text(encoding="utf-8")):
         if "://" not in target:
-            assert (ROOT / target).exists(), target
+            assert (page.parent / target).exists(), target
+
+
+def test_the_readme_is_short() -> None:
+    assert len(README.split()) <= 950
 
 
 def test_a_wrong_command_would_be_seen(capsys: pytest.CaptureFixture[str]) -> None:
