@@ -24,6 +24,7 @@ from sfsnet_dr.experiments.validation.summary import (
 )
 from sfsnet_dr.metrics.image import INSTALL
 from sfsnet_dr.render.renderers.base import Capabilities
+from sfsnet_dr.render.renderers.registry import is_built_in
 from sfsnet_dr.report.html import Block, Figure, Gallery, KeyNumbers, Section, Table, write_page
 from sfsnet_dr.report.pareto import TimedError, pareto_plot
 from sfsnet_dr.report.plots import error_map, signed_colours
@@ -159,7 +160,11 @@ def times_table(study: Study) -> Table:
 
 def renderers_table(study: Study) -> Table:
     """Every registered renderer: what it accounts for, its distance from the truth, or why there is none."""
-    lights = list(dict.fromkeys(rival.light for rival in study.renderers))
+    tried: dict[str, dict[str, None]] = {}
+    for rival in study.renderers:
+        tried.setdefault(rival.renderer, {})[rival.light] = None
+    fewest = min(tried.values(), key=len)
+    lights = [light for light in fewest if all(light in each for each in tried.values())]
     rows = []
     for name in dict.fromkeys(rival.renderer for rival in study.renderers):
         mine = {rival.light: rival for rival in study.renderers if rival.renderer == name}
@@ -186,6 +191,27 @@ def renderers_table(study: Study) -> Table:
         "the same must agree, whoever wrote them. A path tracer that accounts for all should be at 0 but "
         f"for what noise leaves uncertain. `noise` is that of one image at {SAMPLES} paths a pixel. Times "
         "hold what a call needs beside its kernel, such as starting from the subject's mesh.",
+    )
+
+
+def other_renderers_table(study: Study) -> Table | None:
+    """Renderers of other packages under every light, beside order 2; None without one."""
+    names = list(dict.fromkeys(r.renderer for r in study.renderers if not is_built_in(r.renderer)))
+    if not names:
+        return None
+    found = {(r.renderer, r.light): r for r in study.renderers}
+    rows = [
+        [
+            result.light.name,
+            format_percent(result.row("order2").errors.rel.value),
+            *(_rival_cell(found[name, result.light.name]) for name in names),
+        ]
+        for result in study.scene.results
+    ]
+    return Table(
+        ["light", "order 2", *names],
+        rows,
+        "Relative RMS errors of renderers of other packages under every light, beside order-2 shading.",
     )
 
 
@@ -242,7 +268,9 @@ def write_study_page(path: Path, study: Study, tolerance: float, record: Record)
         Section("Where the time goes", [times_table(study)]),
     ]
     if study.renderers:
-        sections.append(Section("Every renderer that is registered", [renderers_table(study)]))
+        others = other_renderers_table(study)
+        tables = [renderers_table(study), *([others] if others else [])]
+        sections.append(Section("Every registered renderer", tables))
     machine = ", ".join(f"{key} {value}" for key, value in record.machine.items())
     versions = ", ".join(f"{name} {number}" for name, number in record.versions.items())
     footer = f"Measured by: {record.command}. {machine}. {versions}."

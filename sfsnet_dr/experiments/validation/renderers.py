@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -66,20 +66,18 @@ def chosen_renderers(names: str) -> tuple[str, ...]:
 
 def compare_renderers(
     ladder: SceneResults,
-    names: Sequence[str],
-    results: Sequence[LightResult],
+    lights: Mapping[str, Sequence[LightResult]],
     on_image: Callable[[str], None] = lambda name: None,
 ) -> tuple[RendererResult, ...]:
-    """Render with every renderer under the lights of results.
+    """Measure every renderer under its lights.
 
     Args:
-        ladder: says the subject and what is counted.
-        names: of the renderers.
-        results: lights with their truth.
+        ladder: the subject and the pixels that count.
+        lights: by the name of each renderer, the lights with their path-traced images.
         on_image: called with a renderer's name after each light.
     """
     found = []
-    for name in names:
+    for name, results in lights.items():
         gave_up = None
         for result in results:
             light = result.light.name

@@ -13,6 +13,7 @@ from sfsnet_dr.experiments.validation.records import main_records, study_records
 from sfsnet_dr.experiments.validation.renderers import RendererResult, chosen_renderers, compare_renderers
 from sfsnet_dr.experiments.validation.summary import Study, summary_sentence
 from sfsnet_dr.experiments.validation.timing import measure_cold_start, time_model
+from sfsnet_dr.render.renderers.registry import is_built_in
 from sfsnet_dr.report.console import progress_bar
 from sfsnet_dr.report.record import Record, write_records
 from sfsnet_dr.scene.lights.light import Light
@@ -115,7 +116,8 @@ def measure_scene(
     Args:
         subject: what is seen.
         lights: under which.
-        renderers: names of the renderers that are compared too, under one soft and one hard light.
+        renderers: names of the renderers that are compared too: ours under one soft and one hard light,
+            those of other packages under every light, like the shading models.
         samples: paths per pixel of each reference.
         seed: of all noise.
         cold: whether first calls are timed, in a process of their own.
@@ -148,9 +150,11 @@ def _subject(request: Request) -> Subject:
 
 
 def _rivals(ladder: SceneResults, names: Sequence[str]) -> tuple[RendererResult, ...]:
-    lights = lights_for_renderers(ladder.results)
-    with progress_bar(f"{ladder.name}: renderers", max(len(names) * len(lights), 1)) as advance:
-        return compare_renderers(ladder, names, lights, lambda _: advance())
+    few = lights_for_renderers(ladder.results)
+    lights = {name: few if is_built_in(name) else ladder.results for name in names}
+    total = sum(len(results) for results in lights.values())
+    with progress_bar(f"{ladder.name}: renderers", max(total, 1)) as advance:
+        return compare_renderers(ladder, lights, lambda _: advance())
 
 
 def lights_for_renderers(results: Sequence[LightResult]) -> list[LightResult]:

@@ -14,6 +14,7 @@ import pytest
 from sfsnet_dr.cli.main import main
 from sfsnet_dr.core.errors import InputError
 from sfsnet_dr.experiments.demo.run import run_demo
+from sfsnet_dr.experiments.validation import page, run
 from sfsnet_dr.experiments.validation.measure import measure_models
 from sfsnet_dr.experiments.validation.page import scene_section, write_study_page
 from sfsnet_dr.experiments.validation.records import study_records, to_csv
@@ -116,6 +117,26 @@ def test_registered_renderers_agree_with_the_ladder(study: Study) -> None:
     assert path.errors is not None
     assert path.errors.rel.value < 0.01 < row.errors.rel.value  # the same truth by other paths
     assert path.noise > 0
+
+
+def test_a_renderer_of_another_package_is_measured_under_every_light(
+    study: Study, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (run, page):
+        monkeypatch.setattr(module, "is_built_in", lambda name: name != "torch-order2")
+    found = run._rivals(study.scene, ["drjit-order2", "torch-order2"])
+    lights = [result.light.name for result in study.scene.results]
+    assert [each.light for each in found if each.renderer == "torch-order2"] == lights
+    assert len([each for each in found if each.renderer == "drjit-order2"]) == 2
+    for result, each in zip(study.scene.results, found[2:], strict=True):
+        assert each.errors is not None
+        expected = result.row("order2").errors.rel.value
+        assert each.errors.rel.value == pytest.approx(expected, rel=0.02, abs=1e-3)
+    table = page.other_renderers_table(replace(study, renderers=found))
+    assert table is not None
+    assert [row[0] for row in table.rows] == lights
+    monkeypatch.setattr(page, "is_built_in", lambda name: True)
+    assert page.other_renderers_table(study) is None
 
 
 def test_records_and_csv_hold_every_model_and_light(study: Study) -> None:
