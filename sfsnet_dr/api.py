@@ -16,7 +16,7 @@ from sfsnet_dr.core.conventions import LIGHT_ORDER
 from sfsnet_dr.core.errors import InputError, check_shape, nearest
 from sfsnet_dr.scene import subject as subjects
 from sfsnet_dr.scene.lights.light import Light
-from sfsnet_dr.scene.lights.spec import LightSpec
+from sfsnet_dr.scene.lights.spec import LIGHT_KINDS, LightSpec
 from sfsnet_dr.scene.spec import SceneSpec
 from sfsnet_dr.scene.spec import load_scene as read_scene
 from sfsnet_dr.scene.subject import Subject
@@ -34,9 +34,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Image = TypeVar("Image", NDArray[np.floating[Any]], "Tensor")
-
-#: Kinds of light that ``sample_light`` draws; ``hdr`` needs a folder of environment maps.
-LIGHT_KINDS = ("hdr", "sun_sky", "studio", "directional", "ambient", "lobes", "fitted")
 
 
 def load_scene(scene: Path | str, *, model_path: Path | str | None = None) -> SceneSpec:

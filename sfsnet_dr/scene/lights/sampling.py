@@ -6,6 +6,7 @@ there: lamps and suns are drawn from them, and surroundings with a sun are turne
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -64,20 +65,8 @@ def sample_scene_light(rng: np.random.Generator, spec: LightSpec, directions: Ar
 def draw_kind(
     kind: LightKind, rng: np.random.Generator, spec: LightSpec, directions: Array | None = None
 ) -> Light:
-    """A light of one kind, neither exposed nor balanced; arguments as of ``sample_scene_light``."""
-    if kind == "hdr":
-        return _map_from_file(rng, spec, directions)
-    if kind == "sun_sky":
-        return _daylight(rng, directions)
-    if kind == "studio":
-        return _studio(rng)
-    if kind == "lobes":
-        return Light("lobes", sample_lights(rng, 1)[0].equirect(*MAP_SIZE))
-    if kind == "fitted":
-        return draw_photo_light(rng, spec.light_prior_file)
-    if kind == "directional":
-        return _lamps(rng, directions)
-    return Light("ambient", _dome(rng, 1.0))
+    """Draw a light of one kind, neither exposed nor balanced; arguments as of ``sample_scene_light``."""
+    return LIGHT_SAMPLERS[kind](rng, spec, directions)
 
 
 def sample_direction(rng: np.random.Generator, largest: float = LARGEST_ANGLE) -> Array:
@@ -188,3 +177,16 @@ def _dome(rng: np.random.Generator, level: float) -> Array:
 def _tint(rng: np.random.Generator) -> Array:
     """Colour (3,) of luminance 1, of a black body of 2500 to 10000 K, evenly in 1/T."""
     return np.asarray(blackbody_tint(1 / rng.uniform(1 / 10000, 1 / 2500)))
+
+
+#: What draws each kind of light: (rng, spec, directions) -> light. A new kind is a file, a line here, and its
+#: weight in ``LightSpec``.
+LIGHT_SAMPLERS: Final[dict[LightKind, Callable[[np.random.Generator, LightSpec, Array | None], Light]]] = {
+    "hdr": _map_from_file,
+    "sun_sky": lambda rng, spec, directions: _daylight(rng, directions),
+    "studio": lambda rng, spec, directions: _studio(rng),
+    "directional": lambda rng, spec, directions: _lamps(rng, directions),
+    "ambient": lambda rng, spec, directions: Light("ambient", _dome(rng, 1.0)),
+    "lobes": lambda rng, spec, directions: Light("lobes", sample_lights(rng, 1)[0].equirect(*MAP_SIZE)),
+    "fitted": lambda rng, spec, directions: draw_photo_light(rng, spec.light_prior_file),
+}

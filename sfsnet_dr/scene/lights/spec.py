@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import ClassVar, Final, Literal, get_args
 
 from sfsnet_dr.core.config import added_field
 from sfsnet_dr.core.errors import InputError
 
 LightKind = Literal["hdr", "sun_sky", "studio", "directional", "ambient", "lobes", "fitted"]
+
+#: All kinds; ``LightSpec`` has a weight of the same name for each.
+LIGHT_KINDS: Final[tuple[LightKind, ...]] = get_args(LightKind)
 
 
 @dataclass(frozen=True)
@@ -50,15 +53,9 @@ class LightSpec:
         Raises:
             InputError: if there are none.
         """
-        every: dict[LightKind, float] = {
-            "hdr": self.hdr if self.environments is not None else 0.0,
-            "sun_sky": self.sun_sky,
-            "studio": self.studio,
-            "directional": self.directional,
-            "ambient": self.ambient,
-            "lobes": self.lobes,
-            "fitted": self.fitted,
-        }
+        every: dict[LightKind, float] = {kind: float(getattr(self, kind)) for kind in LIGHT_KINDS}
+        if self.environments is None:
+            every["hdr"] = 0.0
         chosen = {kind: weight for kind, weight in every.items() if weight > 0}
         if not chosen:
             raise InputError(
@@ -68,8 +65,9 @@ class LightSpec:
 
     def limits(self) -> dict[str, tuple[float, float, float]]:
         """Value and allowed range of every number, by key."""
-        names = ("hdr", "sun_sky", "studio", "directional", "ambient", "lobes", "fitted")
-        found = {name: (float(getattr(self, name)), 0.0, 1e6) for name in names}
+        found: dict[str, tuple[float, float, float]] = {
+            name: (float(getattr(self, name)), 0.0, 1e6) for name in LIGHT_KINDS
+        }
         found |= {f"exposure[{k}]": (value, 0.01, 10.0) for k, value in enumerate(self.exposure)}
         return found | {
             f"white_balance[{k}]": (value, 0.0, 1.0) for k, value in enumerate(self.white_balance)
