@@ -24,7 +24,6 @@ PACKAGES: Final = (
     "karellen-llvm-core",
     "OpenImageIO",
     "colour-science",
-    "anny",
     "safetensors",
 )
 
