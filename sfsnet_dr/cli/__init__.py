@@ -1,1 +1,3 @@
-"""Cli."""
+"""The command line: one file a topic, ``commands`` lists all commands, ``main`` runs one, ``renamed``
+knows old names.
+"""

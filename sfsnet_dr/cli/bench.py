@@ -1,7 +1,4 @@
-"""Commands that measure how fast and how right the factory of faces is.
-
-The commands that time the fast kernels against their twins.
-"""
+"""Commands that measure speed: rendering, shading, loss, training and relighting."""
 
 from __future__ import annotations
 

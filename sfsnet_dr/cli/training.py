@@ -1,11 +1,4 @@
-"""Commands that train networks and use them.
-
-Commands that make training data of photographs.
-
-The command that runs all stages of training.
-
-The command that measures what each part of the method is worth.
-"""
+"""Commands that train networks, label photographs, decompose them, and run ablations."""
 
 from __future__ import annotations
 

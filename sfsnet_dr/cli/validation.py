@@ -1,11 +1,4 @@
-"""The command that measures renderers on a scene.
-
-The command that looks for the light under which the model is most wrong.
-
-The command that holds renderers to what they should show.
-
-The command that puts hard cases to the renderers and the loss.
-"""
+"""Commands that compare renderers: validate, worst-light, regress and stability."""
 
 from __future__ import annotations
 

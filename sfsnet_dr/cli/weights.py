@@ -1,7 +1,4 @@
-"""Commands about the trained networks that come with the package.
-
-The command that learns from photographs which lights there are.
-"""
+"""Commands on weights files, and the one that fits a prior over light."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ def _rgb_to_xyz() -> NDArray[np.float64]:
 
 #: (3, 3) linear Rec. 709 to CIE XYZ (2 degrees), white = luminance 1.
 RGB_TO_XYZ: Final = _rgb_to_xyz()
-#: (3,) luminance of the primaries, near .2126, .7152, .0722.
+#: (3,) luminance of the primaries, near 0.2126, 0.7152, 0.0722.
 LUMINANCE: Final = RGB_TO_XYZ[1]
 
 

@@ -134,7 +134,7 @@ def _check_keys(cls: type[Any], table: Mapping[str, Any], where: str) -> None:
 def added_field(default: Any) -> Any:
     """A field that came after data sets had been made: at its default it is left out of ``as_dict``.
 
-    So specs that do not use it keep the hash that they had, and data sets made before are gone on with.
+    So specs that do not use it keep the hash that they had, and data sets made before can be continued.
     """
     return dataclasses.field(default=default, metadata={_ADDED: True})
 

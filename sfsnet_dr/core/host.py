@@ -1,9 +1,7 @@
-"""What the C library does with memory that a program has freed.
+"""The process and its host: memory that the allocator keeps, and a standard output kept for results.
 
 glibc maps every large block anew and gives it back when it is freed. A training step allocates hundreds of
 them, and the system clears each page of each again: a tenth of a step of SfSNet on two cores (`bench train`).
-
-Standard output kept clean for machines to read.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""A photograph brought to the canonical face frame by the places of its two eyes.
-
-The 68 landmarks of a face (iBUG 300-W order): where its eyes are, and which pixels are its skin.
-"""
+"""Face alignment: eye centres and the 68 iBUG landmarks, the canonical frame, and the skin mask."""
 
 from __future__ import annotations
 
@@ -172,7 +169,7 @@ EYE_RIGHT: Final = slice(42, 48)
 INNER_LIPS: Final = slice(60, 68)
 
 #: Height of the forehead above the line between the ends of the jaw (ear to ear), as a share of the distance
-#: from that line to the chin. An average hairline is at about .7; less keeps most fringes out.
+#: from that line to the chin. An average hairline is at about 0.7; less keeps most fringes out.
 _FOREHEAD: Final = 0.45
 #: How much an eye's outline grows about its middle, so that lashes and lids are left out with it.
 _EYE_GROWTH: Final = 1.3

@@ -1,11 +1,7 @@
-"""Mini-batches of two kinds of faces: rendered ones with their truth, real ones with labels of some trust.
-
-The real ones are photographs with pseudo-labels, faces whose normals photometric stereo found, or both.
+"""Mini-batches that mix rendered faces with real ones (pseudo-labels, normal labels, or both).
 
 Source: Sengupta et al., CVPR 2018, section 3 ("SfS-supervision"): every mini-batch mixes both, so that batch
 normalisation sees one distribution and no step forgets either.
-
-Real faces as mini-batches: what every source of them gives, and several sources as one.
 """
 
 from __future__ import annotations

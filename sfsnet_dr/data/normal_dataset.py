@@ -32,7 +32,7 @@ from sfsnet_dr.data.transforms.crop import Crop
 from sfsnet_dr.data.transforms.mirror import mirror_light, mirror_map, mirror_normal
 
 #: Mean albedo over the face of usual skin: the median of 200 rendered faces, which are evenly spread over the
-#: individual typology angle; their 5th and 95th percentiles are .06 and .34.
+#: individual typology angle; their 5th and 95th percentiles are 0.06 and 0.34.
 USUAL_ALBEDO: Final = 0.175
 
 

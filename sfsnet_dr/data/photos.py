@@ -1,10 +1,8 @@
-"""Folders of photographs as training data: listed with their landmarks, brought to the canonical frame, held.
+"""Folders of photographs with landmarks as training data, split into training and validation.
 
 A folder of photographs has an ``.npz`` with ``files`` (N names) and ``points`` (N, 68, 2) in the pixels of
 the photographs: ``landmarks.npz`` in it, or ``NAME_landmarks.npz`` beside the folder NAME. A folder of such
 folders is taken too.
-
-Photographs to learn from and to measure on, from a folder or, where there are none, rendered ones.
 """
 
 from __future__ import annotations

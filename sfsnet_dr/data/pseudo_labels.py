@@ -5,7 +5,7 @@ A folder holds ``labels.json`` (what the labels were made with), shards ``labels
 were skipped or held back. A shard has, for each photograph:
 
 ``image``: the picture, sRGB-encoded, (N, 3, S, S) uint8. ``mask``, ``confidence``: (N, 1, S, S) in 255ths,
-uint8. ``normal``: unit vectors in 127ths, (N, 3, S, S) int8, which rounds by .4 degrees at most. ``albedo``:
+uint8. ``normal``: unit vectors in 127ths, (N, 3, S, S) int8, which rounds by 0.4 degrees at most. ``albedo``:
 clamped to [0, 1] and sRGB-encoded, (N, 3, S, S) uint8. ``light``: shading coefficients, (N, 27) float32.
 """
 

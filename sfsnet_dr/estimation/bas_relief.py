@@ -1,4 +1,4 @@
-"""How much too flat or too steep normals are in the vertical, told by what surfaces can be.
+"""Resolve the bas-relief ambiguity: by integrability, and by the mean slope of rendered heads.
 
 Normals of a surface z(x, y) are its slopes p = dz/dx and q = dz/dy, and dp/dy = dq/dx. Lamps that were found
 from pictures leave a linear map of the normals unknown, and most of such maps break this. One that matters is
@@ -9,8 +9,6 @@ A stretch of both axes alike and one along the line of sight keep the rule; pitc
 measured (5 degrees change the sum below by 1 %).
 
 Source: the rule, Frankot and Chellappa, PAMI 1988; for unknown lamps, Yuille and Snow, CVPR 1997.
-
-How much flatter faces were found than heads are, where pictures alone cannot tell.
 
 Lamps that were found from pictures leave open how deep the faces are: slopes times s, and lamps moved toward
 the viewer's axis, explain the same pictures (the generalised bas-relief ambiguity). What a network answered
@@ -125,7 +123,7 @@ def resolve_bas_relief_scale(
         heads: the same of heads; those that are turned are left out.
 
     Returns:
-        .7 to 1.5; 1 if there are too few pixels that most faces know.
+        0.7 to 1.5; 1 if there are too few pixels that most faces know.
 
     Raises:
         InputError: if too few of the heads look ahead.

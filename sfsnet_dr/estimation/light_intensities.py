@@ -15,7 +15,7 @@ with s_j of geometric mean 1. Both are found from what no surface can explain:
   of log s_j with l_z, which lamps that are mounted alike do not have and oblique light does; and, by
   shrinking log s_j, as much as four parts of the face disagree about a lamp, which changes all of them alike.
 
-Rendered faces with equal lamps then keep the normals that equal gains give within .2 degrees.
+Rendered faces with equal lamps then keep the normals that equal gains give within 0.2 degrees.
 """
 
 from __future__ import annotations

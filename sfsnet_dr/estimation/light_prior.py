@@ -1,10 +1,8 @@
-"""What lights photographs of faces have: the classical fit of each, and a mixture over all of them.
+"""Fit the lights of photographs with a face model, and a Gaussian mixture over all of them (EM).
 
 Fits are kept line by line in ``fits.jsonl``, so that a stopped run goes on. The mixture is over lights of
 equal level and, on average, without tint: an exposure and the colour of a skin cannot be told from the light,
 and a camera's exposure and white balance are drawn when a light is used.
-
-Mixtures of normal distributions by expectation and maximisation.
 
 Written out because it is forty lines, and a learning library would be a dependency for one command. Source:
 Bishop, Pattern Recognition and Machine Learning (2006), section 9.2.2; starts as k-means++ does.

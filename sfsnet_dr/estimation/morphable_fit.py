@@ -1,19 +1,12 @@
-"""A linear face model brought onto the 68 landmarks of photographs: pose, identity and expression.
+"""Fit a linear face model to landmarks, and a light to the photograph: the 3DMM baseline.
 
 Regularised least squares by Gauss and Newton's steps, a whole batch of photographs at a time:
 
-    sum_l (|p_l - q_l| / sigma_l)^2  +  |identity|^2  +  |expression / .3|^2  +  |turn / its spread|^2
+    sum_l (|p_l - q_l| / sigma_l)^2  +  |identity|^2  +  |expression / 0.3|^2  +  |turn / its spread|^2
 
 with p_l the projected model points, q_l the landmarks, in Huber's form, because single landmarks are wrong.
 Where a landmark of the jaw stands on a turned head follows in each step: on the outermost of the vertices
 that it may stand on (``FaceModes.outline``).
-
-In the spirit of Blanz and Vetter, "A morphable model for the synthesis of 3D faces" (1999), by landmarks
-alone.
-
-The classical answer to one photograph: a face model fitted to landmarks, and the light on it.
-
-No learning, and no detail beyond the model's modes: what the paper's Table 1 calls 3DMM.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 Model, for each pixel alone: I_j = g_j max(b . l_j, 0), with b = albedo times normal, l_j the direction toward
 light j and g_j its strength. Values that break the model lose their say: saturated and black ones have none;
 attached shadows (b . l_j <= 0) leave the sum; gloss and cast shadows are outliers whose weight falls with the
-residual r = (I_j / g_j - b . l_j) / (.1 |b|) as 1 / (1 + r^2), Cauchy's, by iteratively reweighted least
+residual r = (I_j / g_j - b . l_j) / (0.1 |b|) as 1 / (1 + r^2), Cauchy's, by iteratively reweighted least
 squares. The iteration starts from each pixel's brighter lights without the very brightest, where neither
 shadow nor gloss is likely. No library that is kept up does this; the sums are NumPy's.
 

@@ -58,7 +58,7 @@ class IntrinsicOptions:
     """Weights of the priors, each a mean over pixels, and the optimiser's.
 
     Args:
-        edges, entropy, level: of the log-albedo: its changes, its number of values, its distance from .5.
+        edges, entropy, level: of the log-albedo: its changes, its number of values, its distance from 0.5.
         bend, front, contour: of the shape: changes of mean curvature, slant, outward normals at the outline.
         light: of the light's distance from natural ones.
         dome: slant (degrees) at the outline of the dome that the search begins with.
@@ -94,7 +94,7 @@ class Intrinsic:
     Attributes:
         normal: unit vectors in the camera frame, (B, 3, 64, 64) or as small as the image.
         depth: toward the viewer, in pixels of that map, (B, 1, 64, 64).
-        light: shading coefficients of the luminance under an albedo of about .5, (B, 9).
+        light: shading coefficients of the luminance under an albedo of about 0.5, (B, 9).
         energy: final value of what was minimised, (B,).
     """
 
@@ -127,7 +127,7 @@ def solve_intrinsic(images: Tensor, masks: Tensor, options: IntrinsicOptions | N
 
 
 def _prepared(images: Tensor, masks: Tensor) -> tuple[Tensor, Tensor]:
-    """Luminance of mean .5 over the mask, and the mask, both (B, 1, S, S)."""
+    """Luminance of mean 0.5 over the mask, and the mask, both (B, 1, S, S)."""
     sizes = check_shape("images", images, "B 3 N N")
     check_shape("masks", masks, "B 1 N N", B=sizes["B"], N=sizes["N"])
     if sizes["N"] % (SIZE if sizes["N"] > SIZE else 8):

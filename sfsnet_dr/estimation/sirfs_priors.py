@@ -31,7 +31,7 @@ _AMBIENT: Final = (0.0, 0.2, 0.4, 0.6, 0.8)
 
 
 def albedo_edges(albedo: Tensor, mask: Tensor) -> Tensor:
-    """Cauchy's penalty log(1 + (d / .05)^2) on differences of neighbours in log-albedo (B, 1, S, S), (B,)."""
+    """Cauchy's penalty log(1 + (d / 0.05)^2) on differences of neighbours in log-albedo (B, 1, S, S)."""
     total, count = albedo.new_zeros(len(albedo)), albedo.new_zeros(len(albedo))
     for dim in (-1, -2):
         size = albedo.shape[dim]

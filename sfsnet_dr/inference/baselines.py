@@ -1,9 +1,4 @@
-"""What other people's faces look like on average, as answers to any photograph of an aligned face.
-
-The paper's baseline "3DMM": a face model fitted to landmarks, its normals, and the light on them.
-
-The baseline "sirfs": shape, albedo and light of each image by optimisation under priors.
-"""
+"""Baselines: mean normals and albedo of other subjects, a 3DMM fit, and a SIRFS-like search."""
 
 from __future__ import annotations
 
@@ -221,7 +216,7 @@ def _light(face: _Fitted, picture: Array, mask: Array) -> Array:
 class ShadingSearch:
     """``fit.intrinsic`` as a method; its normals are interpolated to the image's size.
 
-    The light has no tint: what tint there is becomes the albedo's, whose luminance is .5 on average.
+    The light has no tint: what tint there is becomes the albedo's, whose luminance is 0.5 on average.
 
     Args:
         options: of the optimiser; those found on rendered faces if left out.

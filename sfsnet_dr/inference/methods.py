@@ -1,6 +1,4 @@
-"""Methods that take faces apart, behind one protocol, so that networks and baselines are alike to a table.
-
-What a network says of the frame around the part that it was trained on.
+"""The protocol of methods that decompose faces, networks behind it, and the wide crop.
 
 A network that was shown the middle of the frame answers for that. Chins and foreheads of large faces lie
 beyond; for these it is shown the whole frame with as many pixels, where faces are smaller than it is used to.

@@ -1,13 +1,11 @@
-"""The four terms of SfSNet's training loss.
+"""SfSNet's training loss: four terms over rendered and real faces.
 
-Source: Sengupta et al., CVPR 2018, section 3.2, E = .5 E_recon + .5 E_N + .5 E_A + .1 E_L: L1 over the pixels
-of the face for reconstruction, normals and albedo, L2 over the 27 light coefficients.
+Source: Sengupta et al., CVPR 2018, section 3.2, E = 0.5 E_recon + 0.5 E_N + 0.5 E_A + 0.1 E_L: L1 over
+the pixels of the face for reconstruction, normals and albedo, L2 over the 27 light coefficients.
 
 Departure: the paper writes sums over pixels and leaves the normalisation of E_L open. Here every term is the
 mean over the numbers that it counts (for E_L the mean of the squared differences of B x 27 coefficients), so
 that the weights mean the same for any image size, face size and batch size.
-
-The training loss over a batch of rendered and real faces.
 """
 
 from __future__ import annotations

@@ -44,7 +44,7 @@ class ClosedForm:
     Attributes:
         image: (H, W, 3).
         allowance: (H, W, 3), at least 0. Causes: the mesh's facets; edges that are
-            known to .01 pixel; float32; in SH models that shade a
+            known to 0.01 pixel; float32; in SH models that shade a
             pixel's mean normal, the difference of that to the mean shading; for a map under all orders,
             what may lie above the order that is computed, by Cauchy and Schwarz.
     """

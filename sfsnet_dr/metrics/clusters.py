@@ -1,9 +1,4 @@
-"""Do differences cluster? The largest connected group of pixels that err to the same side, against noise.
-
-A structured error of one standard deviation passes the test of every single pixel, but its pixels touch,
-and those of noise do not.
-
-Variances that were seen a few times only, made steadier by what is known of them from elsewhere.
+"""Do differences cluster? Largest clusters of pixels, and variances shrunk toward a common one.
 
 A variance from 8 images has 7 degrees of freedom: a pixel would have to be off by 50 standard deviations
 before chance can be excluded among a million, and an edge that 8 images missed shows no variance at all.

@@ -1,12 +1,10 @@
-"""Do two images, both of them noisy, show the same radiance? Tests at every scale, as one probability.
+"""Do two noisy images show the same radiance? Tests per pixel, per block and per cluster.
 
 A pixel alone sees a spark or a wrong edge; a cluster sees what is weak but joined; means over blocks and over
 the picture see an error of a thousandth that no pixel shows. Method: Mitsuba 3's ``test_renders.py`` and
 ``render.ztest``, with the noise of both images counted and its variance not taken as known: where it comes
 from a few renders with different seeds, scores follow Student's t. Sums over blocks have degrees of freedom
 enough (Satterthwaite); the variances of pixels are moderated first (``render.moderation``).
-
-Do two noisy images show the same radiance? A z-test per pixel, and a test for clustered differences.
 
 Method: Mitsuba 3's ``test_renders.py`` with the reference's own noise counted, and with a test of clusters,
 because a structured error of about one standard deviation passes every single pixel but not their
@@ -242,7 +240,7 @@ class ZTest:
         smallest_p: smallest two-sided p-value.
         p_limit: what it must not be below: Sidak's level for the number of values tested.
         failing: number of values below ``p_limit``.
-        largest_cluster: size, in pixels, of the largest connected group of one sign with p < .4.
+        largest_cluster: size, in pixels, of the largest connected group of one sign with p < 0.4.
         cluster_limit: largest size that noise alone shows with the chosen confidence.
     """
 

@@ -1,7 +1,4 @@
-"""What every decomposition network has in common.
-
-What a decomposition network gives back.
-"""
+"""The base class of decomposition networks, and their output."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Running a network on images, without gradients.
-
-A trained network with what its recipe says about the images that it understands.
-"""
+"""Load a trained network with its crop and encoding, and run it without gradients."""
 
 from __future__ import annotations
 

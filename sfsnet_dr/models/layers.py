@@ -1,11 +1,7 @@
-"""Layers that the networks of the paper's appendix are made of.
+"""Layers of the paper's networks, and batch normalisation shared by processes on any device.
 
 Every convolution carries a bias, as in the authors' release, also where batch normalisation follows and
 makes it redundant: parameter counts and layouts then agree with theirs.
-
-Batch normalisation whose statistics are those of all processes' images.
-
-torch has this for GPUs alone (``SyncBatchNorm``), so that here is one in plain operations for both.
 """
 
 from __future__ import annotations
@@ -86,7 +82,7 @@ def unit_normal(raw: Tensor) -> Tensor:
 def to_map(features: Tensor, out: nn.Conv2d) -> Tensor:
     """The last convolution of a map, in float32 also under autocast.
 
-    Eight bits of mantissa would step the normals by .2 degrees.
+    Eight bits of mantissa would step the normals by 0.2 degrees.
     """
     with torch.autocast(features.device.type, enabled=False):
         raw: Tensor = out(features.float())

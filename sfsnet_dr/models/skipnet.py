@@ -6,7 +6,7 @@ What the text leaves open, and how it is read here:
   they connect for SkipNet+: the five ``CN(k3)`` of stride 2 and the five ``CDN(k4)``. So the response of each
   of the first is joined to the input of that deconvolution which has its resolution; SkipNet has the same
   five, of its ``CN(k4)``.
-- All ReLUs are leaky with the slope given in the paragraph of the encoder, .2 and .3.
+- All ReLUs are leaky with the slope given in the paragraph of the encoder, 0.2 and 0.3.
 - SkipNet's fully connected layers: one to 256 numbers, leaky ReLU, one to 3 x 256 for normals, albedo and
   light, leaky ReLU, and one to the 27 numbers of the light. The second ReLU is needed for the light not to be
   a linear function of the first layer's response.

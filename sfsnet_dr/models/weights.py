@@ -1,9 +1,7 @@
-"""A network's weights in one safetensors file that says which network they belong to.
-
-Weights in eight bits, so that three networks fit into one package.
+"""Weights files: safetensors that say which network they are of, and eight-bit quantization.
 
 Every tensor of two dimensions and more becomes int8 with one float16 step for each index of its first axis.
-The largest magnitude there is 127 steps, so a weight is wrong by half a step at most, .4 % of the largest
+The largest magnitude there is 127 steps, so a weight is wrong by half a step at most, 0.4 % of the largest
 beside it. Biases, batch normalisation and its statistics are small and stay as they are.
 
 Trained networks that come with the package, by name; ``sfsnet_dr/weights/NAME.md`` is the card of each.

@@ -1,1 +1,1 @@
-"""Path-traced references, ground-truth maps, light transport and the shading models."""
+"""Path tracing, AOVs, light transport, and the shading kernels in NumPy, torch and Dr.Jit."""

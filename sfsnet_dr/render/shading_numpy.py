@@ -1,9 +1,7 @@
-"""Order-n Lambertian shading in NumPy float64: the oracle of the other two forms.
+"""Order-n Lambertian shading in NumPy float64, the reference of all backends, and their shapes.
 
 Source: Sengupta et al., CVPR 2018, eq. 1 and the appendix on spherical harmonics, with the clamped-cosine
 factors already inside the light (shading coefficients), as ``sh.coefficients.Shading`` holds them.
-
-The one contract on shapes that the three forms of the shading model share.
 """
 
 from __future__ import annotations

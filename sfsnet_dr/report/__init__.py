@@ -1,1 +1,1 @@
-"""Records, figures and pages."""
+"""Records of measured numbers, and the plots and pages that read them."""

@@ -126,7 +126,7 @@ def render_page(title: str, lead: str, sections: Sequence[Section], *, footer: s
 
     Args:
         title: heading of the page and of the browser's tab.
-        lead: the paragraph that tells a stranger what this is and what came out.
+        lead: a paragraph for newcomers: what this is and what came out.
         sections: what follows; three or more get a line of links on top.
         footer: small print, such as versions and machine.
 

@@ -1,9 +1,4 @@
-"""Plots for pages, as PNG bytes. They read numbers that were measured elsewhere and measure nothing.
-
-Noise against time, as lines of one plot.
-
-Differences from a reference with their intervals, a row a name.
-"""
+"""Plots for pages, as PNG bytes, from numbers that are already measured."""
 
 from __future__ import annotations
 

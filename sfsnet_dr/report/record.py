@@ -1,7 +1,4 @@
-"""One schema for every measured number. Tables, figures and pages only read records.
-
-Every record of a page as its last table.
-"""
+"""Records: one schema for every measured number; tables, figures and pages only read them."""
 
 from __future__ import annotations
 

@@ -1,1 +1,3 @@
-"""Face models, appearance and cameras, and how they become a Mitsuba scene."""
+"""From a specification (``spec``) to a subject (mesh and camera) and a Mitsuba scene; ``faces`` and
+``lights`` below.
+"""

@@ -1,10 +1,8 @@
-"""The oily interface of skin over its body: Mitsuba's ``roughplastic``, in two roughnesses, and its tables.
+"""The BSDF of skin: two glossy lobes (``roughplastic``) over a body with per-vertex reflectance.
 
 What a mesh calls albedo is what its body reflects through the interface, seen straight on in light from all
 sides: that is what skin optics gives and what photographs show. Mitsuba's parameter is the reflectance under
-the interface; ``body_share`` is the ratio of the two, .59 for the dull and .79 for the shiny lobe.
-
-A per-vertex colour as the reflectance of BSDFs that need its mean, which ``mesh_attribute`` lacks.
+the interface; ``body_share`` is the ratio of the two, 0.59 for the dull and 0.79 for the shiny lobe.
 """
 
 from __future__ import annotations

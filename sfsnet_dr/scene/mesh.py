@@ -1,6 +1,4 @@
-"""Triangle meshes with per-vertex albedo and region, and the two analytic ones: sphere and plane.
-
-Surfaces given by a formula, each of which brings out one cause of error of a renderer.
+"""Triangle meshes with per-vertex albedo and region, and shapes given by a formula.
 
 sphere       convex: only the truncation of the light counts
 plane        one normal: the simplest closed form

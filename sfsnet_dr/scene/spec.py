@@ -23,7 +23,7 @@ class CameraSpec:
         distance: scene units; one unit is about 104 mm on a face, so that 12 is a portrait at 1.25 m.
         size: width and height of the image in pixels.
         focal: range of focal lengths, mm on 36 x 24 mm film, from which each face's camera is drawn: it then
-            stands where the view fills .4 of the film's width (26 mm: 3.6 units, 85: 11.8, 200: 27.8). None:
+            stands where the view fills 0.4 of the film's width (26 mm: 3.6 units, 85: 11.8, 200: 27.8). None:
             all are seen from ``distance``. Shapes other than faces are seen from there in any case.
     """
 

@@ -1,7 +1,4 @@
-"""What a camera looks at, without its light: the half of a scene that renderers are compared on.
-
-The scenes that renderers are judged on, by name: ``scenes/validation/`` of a checkout or of a wheel.
-"""
+"""A subject: the mesh and camera that renderers are compared on; validation scenes by name."""
 
 from __future__ import annotations
 

@@ -1,9 +1,7 @@
-"""The basis to order 4 as explicit polynomials, for whatever has +, - and *: torch, Dr.Jit, floats.
+"""The basis to order 4 as explicit polynomials, and as monomials with derivatives for kernels.
 
 Written out rather than computed by recurrence: it is what the differentiable renderers evaluate per pixel,
 and it is independent of the recurrence in ``basis`` that tests hold it against. Order and signs as there.
-
-The basis as sums of monomials x^i y^j z^k with its derivatives, for kernels that write gradients out.
 
 The terms come from ``polynomials`` itself, by feeding it polynomials instead of numbers, so that there is
 one table of constants. Each basis function is split into a scale and a polynomial whose largest coefficient

@@ -1,9 +1,4 @@
-"""``history.jsonl``: what every training step gave, one line each.
-
-TensorBoard beside the history, where it is installed and wanted.
-
-A picture of what a network makes of a batch, to look at while it trains.
-"""
+"""The training history: ``history.jsonl``, TensorBoard, and sample images."""
 
 from __future__ import annotations
 

@@ -3,9 +3,9 @@
 A label is the mean of the answers to four views of a photograph (itself, its mirror image, both shifted by a
 few pixels), brought back to its frame. Where the answers disagree the network guesses, and nothing tells that
 without ground truth better: with a the RMS angle of the normals to their mean, and d the RMS deviation of the
-albedo relative to its mean plus .05, a pixel's confidence is
+albedo relative to its mean plus 0.05, a pixel's confidence is
 
-    1 / (1 + (a / 10 degrees)^2)  *  1 / (1 + (d / .1)^2).
+    1 / (1 + (a / 10 degrees)^2)  *  1 / (1 + (d / 0.1)^2).
 
 It is blind to errors that all views share. Light is weighted by its face's mean confidence (``loss.terms``).
 """
@@ -48,7 +48,7 @@ def pseudo_label(
     values: Encoding | None = None,
     on_shard: Callable[[int], object] = lambda _: None,
 ) -> dict[str, Any]:
-    """Label photographs; a run that was stopped is gone on with.
+    """Label photographs; a stopped run is continued.
 
     Args:
         photographs: of ``data.photo_source``; those held back are listed in the manifest and get no labels.

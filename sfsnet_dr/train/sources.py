@@ -59,7 +59,7 @@ def configure_sources(
 
     Raises:
         InputError: if folders and the recipe's shares do not belong together, for unusable labels, or if
-            ``start`` knows of somebody what it must not, see ``_begun``.
+            ``start`` knows of somebody what it must not, see ``_checked_split``.
     """
     _together(
         "real.batch_fraction",
@@ -85,7 +85,7 @@ def configure_sources(
         )
     if surfaces is not None:
         faces, dealt = load_training_subjects(surfaces, recipe.normal_labels, recipe.data.view)
-        split = _begun(dealt, start)
+        split = _checked_split(dealt, start)
         captures = recipe.normal_labels.count(recipe.batch_size)
         sources.append(
             SourceConfig(
@@ -114,27 +114,28 @@ def _check_crop(labels: Path | str, found: int, wanted: int) -> None:
         )
 
 
-def _begun(split: IdentitySplit, start: Path | None) -> IdentitySplit:
-    """The split of a training that goes on from weights: whom it holds back may be known to them by sight.
+def _checked_split(split: IdentitySplit, start: Path | None) -> IdentitySplit:
+    """Return the split with the held-out subjects whose images the initial weights have seen without labels.
 
-    Pictures without labels may be learnt from before true labels of others are: both stay out of what is
-    held back, and the split tells. Strangers are to be strangers, though, and truth stays told: labels with
-    lamps that were found do not go on from somebody's truth.
+    Images without labels may have been learnt from before ground-truth labels of other subjects: both stay
+    out of the held-out part, and the split records it. Labels calibrated by a network must not follow
+    ground truth: the weights would lose the record of it.
 
     Raises:
-        InputError: if the weights have learnt the truth of somebody held back, or pictures of somebody who is
-            to be a stranger, or the truth of anybody where the labels are none.
+        InputError: if the initial weights were trained on ground truth of a held-out subject, or on images of
+            a subject that is to be unseen, or on any ground truth where the labels are calibrated.
     """
     before = None if start is None else read_split(read_metadata(start))
     if before is None or before.database != split.database:
         return split
     known = sorted((set(before.learnt) | set(before.seen)) & set(split.held_back))
-    by_sight = bool(before.calibrated_by) and not split.calibrated_by
-    if known and not by_sight:
-        raise InputError(f"{start}: has learnt from {', '.join(known)}, whom this fold holds back")
+    without_labels = bool(before.calibrated_by) and not split.calibrated_by
+    if known and not without_labels:
+        raise InputError(f"{start}: was trained on {', '.join(known)}, which this fold holds out")
     if split.calibrated_by and not before.calibrated_by:
         raise InputError(
-            f"{start}: has learnt the true normals of {', '.join(before.learnt)}, which the weights would no "
-            f"longer tell after labels by {split.calibrated_by}; start from weights without truth"
+            f"{start}: was trained on ground-truth normals of {', '.join(before.learnt)}; fine-tuning on "
+            f"labels calibrated by {split.calibrated_by} would drop that record. Start from weights trained "
+            "without ground truth"
         )
     return replace(split, seen=tuple(known))

@@ -1,6 +1,4 @@
-"""One optimiser step, and the refusal of one whose numbers are not finite.
-
-An early word when a network's albedo or normals lose their variation over the face.
+"""One optimiser step, which refuses numbers that are not finite, and the collapse monitor.
 
 The paper names such trivial solutions as what training by reconstruction alone ends in: constant albedo and
 everything in the shading, or flat normals and everything in the albedo. Reconstruction errors do not show it.

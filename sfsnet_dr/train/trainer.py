@@ -1,7 +1,4 @@
-"""Training from data to weights, in one process or in several that torchrun started.
-
-Requests to stop that a loop honours between two steps.
-"""
+"""Training from data to weights, in one process or several, stopped cleanly by signals."""
 
 from __future__ import annotations
 
@@ -87,7 +84,7 @@ def train(
             the same bits as a run that was never stopped.
         progress: show a bar with the loss, images a second and the time left.
         tensorboard: write the history for TensorBoard too.
-        start: weights of the same network to begin with; a run that is gone on with needs the same.
+        start: weights of the same network to begin with; a resumed run needs the same.
 
     Raises:
         InputError: for unusable data or weights, an ``out`` that holds a run while ``resume`` is false, or a

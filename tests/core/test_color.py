@@ -75,7 +75,7 @@ def test_delta_e_keeps_the_shape() -> None:
 
 @pytest.mark.parametrize("kelvin", [2000, 2800, 4000, 4001, 6500, 10000])
 def test_black_body_is_plancks(kelvin: float) -> None:
-    """Planck's law under the colour matching functions. The cubic fits were seen within .27 %, times 2."""
+    """Planck's law under the colour matching functions. The cubic fits were seen within 0.27 %, times 2."""
     observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
     xyz = colour.sd_blackbody(kelvin, observer.shape).values @ observer.values
     rgb = np.maximum(np.linalg.solve(RGB_TO_XYZ, xyz / xyz[1]), 0)

@@ -48,7 +48,7 @@ def test_written_png_clips_rounds_and_keeps_its_text(tmp_path: Path) -> None:
     image = PIL.Image.open(tmp_path / "a.png")
     assert np.asarray(image).tolist() == [
         [[0, 137, 255]]
-    ]  # 1.055 * .25^(1/2.4) - .055 = .5371 = 136.96 / 255
+    ]  # 1.055 * 0.25^(1/2.4) - 0.055 = 0.5371 = 136.96 / 255
     assert image.info["sfsnet_dr:seed"] == "7"
     assert read_image(tmp_path / "a.png").metadata["sfsnet_dr:seed"] == "7"
 

@@ -50,7 +50,7 @@ def test_the_labels_explain_the_image(faces: Faces, flip: float) -> None:
     light = batch.light.numpy().reshape(4, 3, 9)
     shading = np.einsum("bhwk,bck->bchw", sh_basis(normal, 2), light)
     error = np.abs(batch.mask.numpy() * (batch.image.numpy() - batch.albedo.numpy() * shading))
-    # halves of 11 bits in normal, albedo and nine terms of transport; worst seen 3.4e-4 of images up to .3
+    # halves of 11 bits in normal, albedo and nine terms of transport; worst seen 3.4e-4 of images up to 0.3
     assert error.max() < 1e-3
     assert (batch.mask * batch.image).max() > 0.1
 
@@ -169,7 +169,7 @@ def test_the_cameras_gain_is_in_the_light(faces: Faces) -> None:
     varied = RelitFaces(faces, 40, replace(PLAIN, photo=gain), seed=1).batch(0).light.reshape(40, 3, 9)
     stops = (varied / plain).log2().median(2, keepdim=True).values
     torch.testing.assert_close(varied, plain * 2**stops, rtol=1e-5, atol=1e-6)  # float32
-    # Green has exposure alone. 40 draws from -1 to 1: all within .7 or on one side has a chance of 1e-6.
+    # Green has exposure alone. 40 draws from -1 to 1: all within 0.7 or on one side has a chance of 1e-6.
     assert 0.7 < float(stops[:, 1].abs().max()) <= 1
     assert float(stops[:, 1].min()) < 0 < float(stops[:, 1].max())
     assert float((stops[:, 0] - stops[:, 1]).abs().max()) > 0.2

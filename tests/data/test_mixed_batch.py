@@ -74,7 +74,7 @@ def misfit(batch: FaceBatch) -> float:
 
 @pytest.mark.parametrize("values", ["linear", "srgb"])
 def test_flips_and_exposure_keep_labels_and_photographs_together(values: Encoding, tmp_path: Path) -> None:
-    """Whatever happens to a photograph, its labels still render it: 8-bit rounding leaves .006 at most."""
+    """Whatever happens to a photograph, its labels still render it: 8-bit rounding leaves 0.006 at most."""
     faces = load_pseudo_labels(write_labels(tmp_path / "labels", values=values))
     options = PseudoLabelOptions(flip=0.5, exposure_stops=2.0, encoding=values)
     real = RealFaces(faces, 4, options, seed=0)
@@ -127,7 +127,7 @@ def test_the_loss_is_the_mean_over_faces_and_trusts_as_told(labels: Path, sphere
     assert float(total) == pytest.approx((3 * float(first.total) + float(second.total)) / 4)
     only = NetworkOutput(*(part[:3] for part in guess(batch)))
     assert torch.equal(first.total, sfsnet_loss(only, batch.labelled, weights, "torch").total)
-    # Errors of .1 everywhere, so the weighted means follow from the mean confidence alone.
+    # Errors of 0.1 everywhere, so the weighted means follow from the mean confidence alone.
     mask = batch.real.faces.mask
     trust = float((mask * batch.real.confidence).sum() / mask.sum())
     assert float(second.normal) == pytest.approx(0.1 * trust, rel=1e-4)

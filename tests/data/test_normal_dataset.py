@@ -188,7 +188,7 @@ def test_a_fine_tuning_is_resumed_to_the_bit_and_tells_its_split(
     split = read_split(read_metadata(whole.weights))
     assert split == split_subjects(SUBJECTS, RECIPE.normal_labels, "balls")
     other = replace(RECIPE, normal_labels=replace(RECIPE.normal_labels, fold=1))
-    with pytest.raises(InputError, match=r"has learnt from .*, whom this fold holds back"):
+    with pytest.raises(InputError, match=r"was trained on .*, which this fold holds out"):
         train(other, spheres, tmp_path / "o", surfaces=surfaces, start=whole.weights, progress=False)
 
 
@@ -215,13 +215,13 @@ def test_weights_tell_whose_pictures_and_whose_truth_they_know(surfaces: Path, t
     dealt = split_subjects(SUBJECTS, RECIPE.normal_labels, "balls")
     assert begun(weights(1, 0, "skipnet")) == replace(dealt, seen=dealt.held_back)
     assert begun(weights(2, 0, "skipnet")) == begun(weights(2, 0, "")) == dealt
-    with pytest.raises(InputError, match=r"has learnt from .*, whom this fold holds back"):
+    with pytest.raises(InputError, match=r"was trained on .*, which this fold holds out"):
         begun(weights(2, 1, ""))
     found = write_faces(tmp_path / "found", lamps_by="skipnet")
-    with pytest.raises(InputError, match=r"has learnt from .*, whom this fold holds back"):
+    with pytest.raises(InputError, match=r"was trained on .*, which this fold holds out"):
         begun(weights(1, 0, "skipnet"), found)
     with pytest.raises(
-        InputError, match=r"has learnt the true normals of .*; start from weights without truth"
+        InputError, match=r"was trained on ground-truth normals of .*Start from weights trained"
     ):
         begun(weights(2, 0, ""), found)
 

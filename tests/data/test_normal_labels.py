@@ -34,7 +34,7 @@ def test_a_command_makes_labels_that_are_right(tmp_path: Path, capsys: pytest.Ca
     for face, albedo in zip(faces, (0.8, 0.7), strict=True):
         mask = face.mask[0].numpy() > 0.5
         normal = face.normal.permute(1, 2, 0).numpy()
-        # .4 degrees measured: a pixel averages over a surface that bends, and 8-bit values are steps.
+        # 0.4 degrees measured: a pixel averages over a surface that bends, and 8-bit values are steps.
         assert angles_deg(normal, crop_normals())[mask].mean() < 0.8
         relative = face.albedo[0].numpy()[mask] / albedo
         assert relative.mean() == pytest.approx(1, abs=0.05)  # the lamps' mean strength is free within k

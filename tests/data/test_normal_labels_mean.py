@@ -47,7 +47,9 @@ def test_single_heads_are_those_of_the_mean(tmp_path: Path) -> None:
     one = mean_normals(write_spheres(tmp_path / "one", 1)).movedim(0, -1)
     both = known & known.flip(-1)
     mirrored = (normal + mirror_normal(normal.movedim(-1, 0)).movedim(0, -1)) / 2
-    torch.testing.assert_close(one[both].double(), mirrored[both], rtol=0, atol=0.01)  # pixels .99 skin count
+    torch.testing.assert_close(
+        one[both].double(), mirrored[both], rtol=0, atol=0.01
+    )  # pixels 0.99 skin count
 
 
 def test_bad_heads_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

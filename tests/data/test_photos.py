@@ -66,7 +66,7 @@ def test_the_mask_is_the_face_without_eyes_and_mouth(size: int) -> None:
     jaw, forehead = np.pi / 2 * 50 * 80, np.pi / 2 * 50 * 0.45 * 80
     hexagon, octagon = 1.5 * np.sqrt(3) * 7 * 3, 2 * np.sqrt(2) * 10 * 5
     area = scale * (jaw + forehead - 2 * 1.3**2 * hexagon - octagon)
-    # The jaw is 16 chords of its half ellipse: .6 % less; the fine grid adds its own half per cent.
+    # The jaw is 16 chords of its half ellipse: 0.6 % less; the fine grid adds its own half per cent.
     assert mask.sum() * (128 / size) ** 2 == pytest.approx(area, rel=0.012)
     if size == 128:
         assert mask[48, 45] == mask[48, 83] == 0  # eyes

@@ -35,7 +35,7 @@ HEADS = [(head(seed), ALL) for seed in range(40)]
 def test_a_factor_is_found_whatever_the_albedo(factor: float) -> None:
     albedo = np.random.default_rng(0).uniform(0.2, 0.6, (SIZE, SIZE, 1))
     faces = [(albedo * head(seed, depth=1 / factor), ALL) for seed in range(100, 140)]
-    # Slopes beyond the steepest are left out, of deep faces more: .81, 1.00 and 1.28 measured.
+    # Slopes beyond the steepest are left out, of deep faces more: 0.81, 1.00 and 1.28 measured.
     assert resolve_bas_relief_scale(faces, HEADS) == pytest.approx(factor, rel=0.03)
 
 

@@ -67,7 +67,8 @@ def errors(captures: Sequence[InitialNormals]) -> Array:
 
 
 def test_a_right_guess_finds_the_lamps() -> None:
-    # The first guess of the albedo, a quantile, is not quite linear in the truth: .6 on average, 1.0 at most.
+    # The first guess of the albedo, a quantile, is not quite linear in the truth: 0.6 on average, 1.0 at
+    # most.
     assert errors([guess(0)]).max() < 1.5
 
 
@@ -87,7 +88,7 @@ def test_pitch_that_differs_between_captures_cancels() -> None:
     alone = errors([guess(0, 12.0)])
     assert 8 < alone.mean() < 14
     several = errors([guess(seed, pitch) for seed, pitch in enumerate((12.0, -12.0, 4.0, -4.0, 0.0))])
-    assert several.mean() < 1.0  # .7 measured, what a right guess leaves
+    assert several.mean() < 1.0  # 0.7 measured, what a right guess leaves
 
 
 def test_captures_are_turned_to_where_heads_usually_face() -> None:
@@ -228,7 +229,7 @@ def test_heads_tell_what_the_measure_of_a_stretch_makes_of_surfaces(
         listing = calibrate_image_sets(read, "skipnet", ("heads",)).listing
         slopes.append([p.direction[1] / p.direction[2] for p in listing.photos if p.direction is not None])
     # Steeper faces and lamps nearer to the horizontal explain the same pictures.
-    np.testing.assert_allclose(np.array(slopes[1]) * 1.05, slopes[0], atol=0.01)  # .002 by the search's end
+    np.testing.assert_allclose(np.array(slopes[1]) * 1.05, slopes[0], atol=0.01)  # 0.002 by the search's end
 
 
 def test_a_network_is_asked(tmp_path: Path) -> None:

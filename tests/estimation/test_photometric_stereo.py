@@ -62,7 +62,7 @@ def test_shadow_gloss_and_saturation_do_not_move_it_but_would_move_least_squares
     plain = np.linalg.lstsq(lights, images.mean(-1).reshape(24, -1), rcond=None)[0].T.reshape(16, 16, 3)
     found = photometric_stereo(images, lights, np.ones(24))
     assert angles_deg(plain, normal).mean() > 5  # 9.3 measured
-    assert angles_deg(found.normal, normal).mean() < 0.5  # .2 measured; weights of outliers are small, not 0
+    assert angles_deg(found.normal, normal).mean() < 0.5  # 0.2 measured; weights of outliers are small, not 0
 
 
 def test_confidence_falls_where_most_lights_are_outliers() -> None:
@@ -121,7 +121,7 @@ def test_strobes_and_the_oblique_gain_are_found_from_the_pictures() -> None:
     found = estimate_light_intensities([shots(lights, gains, albedo, 24) for albedo in (0.3, 0.5)])
     assert found.oblique == pytest.approx(0.3, abs=0.1)
     got = np.array([found.strength[f"l{j}"] for j in range(40)])
-    assert np.std(np.log(got / strength)) < 0.02  # .08 without the estimate
+    assert np.std(np.log(got / strength)) < 0.02  # 0.08 without the estimate
     assert found.spread < 0.01
 
 
@@ -139,12 +139,12 @@ def test_a_shadow_on_a_part_of_the_face_is_hardly_taken_for_weak_lamps() -> None
     images[np.ix_(lights[:, 1] > 0.3, normal[:, 0, 1] < 0)] *= 0.8
     names = tuple(f"l{j}" for j in range(40))
     found = estimate_light_intensities([LightImages(images.reshape(40, -1).T, lights, names)])
-    assert np.std(np.log(list(found.strength.values()))) < 0.01  # .019 if nothing is shrunk
+    assert np.std(np.log(list(found.strength.values()))) < 0.01  # 0.019 if nothing is shrunk
     errors = [
         angles_deg(photometric_stereo(images, lights, gains).normal, normal).mean()
         for gains in (np.ones(40), found.gains(names, lights))
     ]
-    assert errors[1] < errors[0] + 0.5  # .3 measured, .9 if nothing is shrunk
+    assert errors[1] < errors[0] + 0.5  # 0.3 measured, 0.9 if nothing is shrunk
 
 
 def test_a_trend_with_the_angle_to_the_viewer_is_no_strobes() -> None:

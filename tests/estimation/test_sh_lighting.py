@@ -59,7 +59,7 @@ def test_with_the_ridge_it_is_near_and_points_right() -> None:
         found = fit_light(normal, SKIN * truth.evaluate(normal), mask)
         errors.append(shading_error(found.light, truth))
         angles.append(linear_angle(found.light, truth))
-    assert max(errors) < 0.02  # .006 seen
+    assert max(errors) < 0.02  # 0.006 seen
     assert np.mean(angles) < 9.0  # 7.3 seen
     assert max(angles) < 35.0  # 23 seen, under nearly ambient light
 

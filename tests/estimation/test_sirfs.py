@@ -70,7 +70,7 @@ def test_an_ellipsoid_and_its_light_are_found(bodies: tuple[Tensor, Tensor, Tens
         assert degrees(found.normal[index], normal, masks[index]) < min(0.2 * flat, 8.0)
         true = torch.tensor(light)[[2, 3, 1]]
         toward = found.light[index, [2, 3, 1]]
-        assert float(torch.cosine_similarity(true, toward, dim=0)) > 0.97  # .983 to .991
+        assert float(torch.cosine_similarity(true, toward, dim=0)) > 0.97  # 0.983 to 0.991
     assert torch.allclose(found.normal.norm(dim=1), torch.ones(3, SIZE, SIZE), atol=1e-5)
 
 
@@ -129,7 +129,7 @@ def test_priors_of_albedo_by_hand() -> None:
     ones = torch.ones(1, 1, 4, 4)
     step = torch.zeros(1, 1, 4, 4)
     step[..., 2:] = 0.5
-    # 4 of 24 neighbours differ, by ten times .05.
+    # 4 of 24 neighbours differ, by ten times 0.05.
     assert float(albedo_edges(step, ones)) == pytest.approx(4 / 24 * np.log(101), rel=1e-5)
     half = ones.clone()
     half[..., 2:] = 0
@@ -175,7 +175,7 @@ def test_the_method_explains_the_image() -> None:
     assert torch.equal(light[0], light[2])  # the tint is the albedo's
     means = (answer.albedo * masks).sum((2, 3)) / masks.sum((2, 3))
     assert torch.allclose(means / means[:, :1], tint[..., 0, 0], rtol=0.02)
-    # An albedo of about .5 in luminance goes with this light, whatever the exposure.
+    # An albedo of about 0.5 in luminance goes with this light, whatever the exposure.
     assert 0.3 < float(means.mean()) < 0.8
 
 

@@ -52,7 +52,7 @@ def fake_model(seed: int = 0) -> FaceModes:
 
 
 def landmark_places() -> Array:
-    """(68, 2) decimetres: jaw, brows, nose, eyes .62 apart, mouth."""
+    """(68, 2) decimetres: jaw, brows, nose, eyes 0.62 apart, mouth."""
     places = np.zeros((68, 2))
     jaw = np.linspace(np.pi, 2 * np.pi, 17)
     places[:17] = np.stack([0.62 * np.cos(jaw), 0.2 + 0.95 * np.sin(jaw)], -1)

@@ -8,7 +8,7 @@ from sfsnet_dr.scene.mesh import Mesh, Region, plane_mesh
 
 
 def plane_with_shade(offset: float, albedo: float = 0.5) -> Mesh:
-    """A plane that fills the view, and a square of edge 1 at height .8 above it, ``offset`` to the right."""
+    """A plane that fills the view, and a square of edge 1 at height 0.8 above it, ``offset`` to the right."""
     ground = plane_mesh()
     roof = plane_mesh(size=1.0)
     vertices = np.concatenate([ground.vertices, roof.vertices + np.array([offset, 0.0, 0.8])])

@@ -49,7 +49,7 @@ def test_a_face_of_the_model_is_found_with_its_light() -> None:
         light = answer.light[0].reshape(3, 9).double().numpy()
         assert np.allclose(light, light[:1])  # a grey picture, so a grey light
         cosine = light[0] @ LIGHT / np.linalg.norm(light[0]) / np.linalg.norm(LIGHT)
-        assert cosine > 0.99  # .9968 and .9977 were measured
+        assert cosine > 0.99  # 0.9968 and 0.9977 were measured
         albedo = answer.albedo[0, 0].numpy()[truth.mask > 0.5]
         assert np.median(np.abs(albedo / np.median(albedo) - 1)) < 0.02
         seen = truth.mask > 0.5

@@ -16,7 +16,7 @@ Array = npt.NDArray[np.float64]
 
 
 def _scene(batch: int, height: int, width: int, seed: int, order: int = 2) -> list[Array]:
-    """Normals of lengths .5 to 2, albedo, light, image, and a mask with whole and fractional weights."""
+    """Normals of lengths 0.5 to 2, albedo, light, image, and a mask with whole and fractional weights."""
     rng = np.random.default_rng(seed)
     shape = (batch, 3, height, width)
     normal = rng.standard_normal(shape)

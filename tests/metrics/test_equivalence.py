@@ -35,7 +35,7 @@ def compared(seed: int, change: npt.ArrayLike = 0.0, mismatch: float = 0.5) -> A
 @pytest.mark.parametrize("mismatch", [0.0, 0.5])
 def test_equal_images_are_refused_at_most_as_often_as_stated(mismatch: float) -> None:
     p = np.array([compared(seed, mismatch=mismatch).p for seed in range(150)])
-    # Binomial: with 15 expected below .1, 27 or more have a chance of .2 %; none at all one of 1e-7.
+    # Binomial: with 15 expected below 0.1, 27 or more have a chance of 0.2 %; none at all one of 1e-7.
     assert 1 <= (p < 0.1).sum() < 27
     assert (p < 0.001).sum() <= 2
 

@@ -26,7 +26,7 @@ def _run(difference: npt.ArrayLike, seed: int, **options: object) -> ZTest:
 
 def test_equal_images_are_refused_about_as_often_as_stated() -> None:
     refused = sum(not _run(0, seed, level=0.1).passed for seed in range(60))
-    # Expected about 6; binomial: more than 14 has a chance of .1 %. Ignoring the reference's own noise would
+    # Expected about 6; binomial: more than 14 has a chance of 0.1 %. Ignoring the reference's own noise would
     # refuse nearly all.
     assert refused <= 14
 
@@ -39,7 +39,7 @@ def test_scores_and_limits_are_those_of_the_normal_distribution() -> None:
     assert result.smallest_p == pytest.approx(2 * norm.sf(6), rel=1e-12)
     assert result.p_limit == pytest.approx(
         1 - np.sqrt(1 - 0.005), rel=1e-12
-    )  # Sidak, two values, half of .01
+    )  # Sidak, two values, half of 0.01
     assert result.failing == 2
 
 

@@ -27,14 +27,14 @@ def _everywhere() -> Array:
 
 
 def test_the_noise_of_the_references_drops_out() -> None:
-    """A bias of .05 under noise of .3: the plain squared difference is 37 times too large."""
+    """A bias of 0.05 under noise of 0.3: the plain squared difference is 37 times too large."""
     found, naive = [], []
     for seed in range(30):
         truth, first, second = _references(seed)
         found.append(bias_squared(truth + 0.05, first, second, _everywhere()))
         naive.append(bias_squared(truth + 0.05, first, first, _everywhere()))
-    # Spread of one estimate: products of noise .09 / sqrt(12288) and 2 x .05 x .3 / sqrt(2 x 12288): 8.3e-4;
-    # of the mean of 30: 1.5e-4; four of them.
+    # Spread of one estimate: products of noise 0.09 / sqrt(12288) and 2 x 0.05 x 0.3 / sqrt(2 x 12288):
+    # 8.3e-4; of the mean of 30: 1.5e-4; four of them.
     assert np.mean(found) == pytest.approx(0.05**2, abs=6e-4)
     assert np.mean(naive) == pytest.approx(0.05**2 + 0.3**2, rel=0.05)
 
@@ -70,7 +70,7 @@ def test_interval_covers_the_truth() -> None:
         _, first, second = _references(seed)
         result = relative_rmse(image, first, second, _everywhere(), seed=seed, draws=400)
         covered += result.low <= 0.1 <= result.high
-    # Binomial of 60 at 95 %: fewer than 51 has a chance of .3 %.
+    # Binomial of 60 at 95 %: fewer than 51 has a chance of 0.3 %.
     assert covered >= 51
 
 
@@ -78,7 +78,7 @@ def test_no_error_gives_an_interval_at_zero() -> None:
     truth, first, second = _references(1)
     result = relative_rmse(truth, first, second, _everywhere())
     assert result.low == 0
-    assert result.high < 0.06  # sqrt(2 x 8.3e-4) is .041
+    assert result.high < 0.06  # sqrt(2 x 8.3e-4) is 0.041
 
 
 def test_same_seed_same_interval() -> None:

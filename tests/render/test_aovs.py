@@ -59,7 +59,7 @@ def test_normals_of_a_sphere_are_those_of_the_points_seen(ball: TransportMaps) -
     hit = origin + (-along - np.sqrt(np.maximum(root, 0)))[..., None] * direction
     inner = (ball.coverage == 1) & (np.hypot(x, y) < 0.6)
     angle = np.degrees(np.arccos(np.clip(np.einsum("hwc,hwc->hw", ball.normal, hit / radius), -1, 1)))
-    # A pixel spans 6 degrees of the sphere; 64 points miss its centre a little: seen .40 degrees, times 1.5.
+    # A pixel spans 6 degrees of the sphere; 64 points miss its centre a little: seen 0.40 degrees, times 1.5.
     assert angle[inner].max() < 0.6
 
 
@@ -73,7 +73,7 @@ def test_a_white_furnace_shades_a_sphere_with_its_albedo_but_for_its_facets(ball
     furnace = ball.transport[0][ball.coverage == 1] * np.sqrt(4 * np.pi)
     assert furnace.max() <= 0.5 * (1 + 2e-6)  # no pixel reflects more than it gets
     # Facets of 1.9 degrees block directions that lie above the smooth normal's horizon by less than half of
-    # that: a share of at most sin^2(.95 degrees) = 2.7e-4.
+    # that: a share of at most sin^2(0.95 degrees) = 2.7e-4.
     assert 1 - furnace.mean() / 0.5 < 2.7e-4
 
 

@@ -38,7 +38,7 @@ def test_regions_are_those_of_most_of_the_pixel() -> None:
     labels = maps.regions
     assert set(np.unique(labels)) == {Region.EAR, Region.IRIS, NO_REGION}
     assert (labels[maps.coverage == 0] == NO_REGION).all()
-    red = maps.albedo[..., 0]  # .3 on the bowl, .7 on the ball
+    red = maps.albedo[..., 0]  # 0.3 on the bowl, 0.7 on the ball
     assert (labels[red > 0.52] == Region.IRIS).all()
     assert (labels[(red > 0) & (red < 0.48)] == Region.EAR).all()
     assert maps.mask.max() == 0  # neither is face skin

@@ -83,7 +83,7 @@ def test_the_variance_is_that_of_the_mean() -> None:
     inside = runs[0].mean.min(axis=-1) > 0
     seen = np.var([run.mean for run in runs], axis=0, ddof=1)[inside].mean()
     claimed = np.mean([run.variance for run in runs], axis=0)[inside].mean()
-    # A variance from 24 runs of 1,900 values has a relative error of sqrt(2 / 23 / 1900) = .7 %, times 5.
+    # A variance from 24 runs of 1,900 values has a relative error of sqrt(2 / 23 / 1900) = 0.7 %, times 5.
     assert seen / claimed == pytest.approx(1.0, abs=0.035)
 
 

@@ -47,4 +47,4 @@ def test_a_ball_shows_its_normals() -> None:
     exact = np.stack([x, y, np.sqrt(np.maximum(1 - x**2 - y**2, 0))], -1)[inside]
     found = picture[inside] / np.linalg.norm(picture[inside], axis=-1, keepdims=True)
     off = np.degrees(np.arccos(np.clip((exact * found).sum(-1), -1, 1)))
-    assert off.max() < 0.3  # facets of 1.9 degrees; .1 found, most at the rim
+    assert off.max() < 0.3  # facets of 1.9 degrees; 0.1 found, most at the rim

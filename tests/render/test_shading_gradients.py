@@ -35,7 +35,7 @@ def central_differences(function: Callable[[list[Array]], float], inputs: list[A
 
 
 def scene(order: int, seed: int, batches: tuple[int, int, int] = (2, 2, 2)) -> list[Array]:
-    """Normals of lengths .3 to 2, albedo and light, float64."""
+    """Normals of lengths 0.3 to 2, albedo and light, float64."""
     rng = np.random.default_rng(seed)
     normal = rng.standard_normal((batches[0], 3, 3, 4))
     normal *= rng.uniform(0.3, 2, (batches[0], 1, 3, 4)) / np.linalg.norm(normal, axis=1, keepdims=True)

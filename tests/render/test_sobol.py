@@ -33,7 +33,7 @@ def test_every_pixel_alone_is_uniform_over_the_seeds(sampler: str) -> None:
     assert values.max() < 1
     for axis in range(4):
         for step in (0, 5, 15):
-            # one point a pixel: independent draws; eight tests at .001 in a hundred runs of them all
+            # one point a pixel: independent draws; eight tests at 0.001 in a hundred runs of them all
             assert stats.kstest(values[:, step, axis], "uniform").pvalue > 1e-4
     assert abs(np.corrcoef(values[:-1, 3, 0], values[1:, 3, 0])[0, 1]) < 4.5 / np.sqrt(PIXELS)
 
@@ -71,7 +71,7 @@ def test_the_error_of_a_smooth_mean_falls_faster_than_that_of_random_points() ->
         points = drawn(sampler, 64)[1]
         return float((np.cos(4 * points[..., 0]) * points[..., 1] ** 2).mean(axis=1).std())
 
-    # Seen: independent .037, r4 .025 (made for four dimensions at once), stratified .0065, sobol .0024.
+    # Seen: independent 0.037, r4 0.025 (made for four dimensions at once), stratified 0.0065, sobol 0.0024.
     random = deviation("independent")
     assert random > 1.2 * deviation("r4")
     assert random > 4 * deviation("stratified")

@@ -36,7 +36,7 @@ def test_light_between_the_points_of_a_bowl_is_a_geometric_series(bounces: int) 
     inside &= np.hypot(*np.meshgrid(*[np.linspace(-1, 1, 32)] * 2)) < 0.8  # away from the facets of the rim
     seen = maps.transport[0][inside] * WHITE
     expected = colour / 2 * sum((colour / 2) ** k for k in range(bounces + 1))
-    # 256 paths of 400 pixels: noise of 1e-3; facets lie .06 % inside the sphere
+    # 256 paths of 400 pixels: noise of 1e-3; facets lie 0.06 % inside the sphere
     np.testing.assert_allclose(seen.mean(axis=0), expected, rtol=5e-3)
 
 
@@ -123,7 +123,7 @@ def test_no_pixel_reflects_more_than_it_gets(gloss: bool) -> None:
     total = maps.transport[0] * WHITE
     if gloss:
         total = total + maps.gloss[0, ..., None] * WHITE
-    # White in a white sky is white, but for .9^n after n points under gloss, and for what the interface's
+    # White in a white sky is white, but for 0.9^n after n points under gloss, and for what the interface's
     # model loses. 64 paths have noise of 2 % in the mean over 4 x 4 pixels.
     blocks = total.reshape(8, 4, 8, 4, 3).mean(axis=(1, 3))
     assert blocks.max() < 1.0 + 0.02

@@ -109,7 +109,7 @@ def relit_without_bounces(gloss: bool, light: ResponseWeights) -> Array:
 
 
 def test_the_share_beyond_the_last_bounce_is_small_and_known() -> None:
-    """Three further points hold all light of this scene but (r / 2)^4 of it, at r = .6 below 1 %."""
+    """Three further points hold all light of this scene but (r / 2)^4 of it, at r = 0.6 below 1 %."""
     sky, _ = smooth_sky()
     scene = SurfaceScene(bowl_and_ball(), TINY, gloss=True)
     scene.set_environment(sky)
@@ -131,7 +131,7 @@ def test_light_and_viewer_can_change_places() -> None:
         turn = rotation_between(lamp, axis)
         there = total(SurfaceScene(mesh, far, gloss=True), lamp)
         back = total(SurfaceScene(turned(mesh, turn), far, gloss=True), turn @ axis)
-        # Noise of .2 %; smooth normals on facets of 3 degrees are not quite reciprocal: .4 % seen
+        # Noise of 0.2 %; smooth normals on facets of 3 degrees are not quite reciprocal: 0.4 % seen
         np.testing.assert_allclose(there, back, rtol=1e-2)
         assert there.min() > 1.0
 

@@ -74,7 +74,7 @@ def test_errors_fall_with_the_order_as_the_exact_table_says(order: int, name: st
     images = np.array([renderer.render(ball(), light, Budget()) for light in lamps()])
     error = (images - reference)[:, inside] / 0.5
     rms, mean = TABLE[order]
-    # 42 directions for all, and edges of light that a pixel averages: .45 % seen at order 4, times 2.
+    # 42 directions for all, and edges of light that a pixel averages: 0.45 % seen at order 4, times 2.
     assert np.sqrt((error**2).mean()) == pytest.approx(rms, rel=0.009)
     assert np.abs(error).mean() == pytest.approx(mean, rel=0.009)
 
@@ -187,7 +187,7 @@ def test_no_scene_reflects_more_than_it_gets(shape: str) -> None:
     maps = render_aovs(scene, 64, 0, TransportOptions(order=0, bounces=12, paths=4))
     inside = maps.coverage == 1
     # The interpolated normals of facets lean off them by up to half their angle to the next: a share of light
-    # from below the facet is lost, .1 % seen on the spheres, times 2; nothing may be gained beyond noise.
+    # from below the facet is lost, 0.1 % seen on the spheres, times 2; nothing may be gained beyond noise.
     noise = np.sqrt(image.variance[inside].sum()) / image.mean[inside].size
     assert 1 - 2e-3 - 4.5 * noise < image.mean[inside].mean() < 1 + 4.5 * noise
     assert (image.mean - 1 < 6 * np.sqrt(image.variance) + 1e-5)[inside].all()

@@ -44,7 +44,7 @@ def test_vertex_normals_of_a_sphere_agree_with_the_exact_ones() -> None:
     found = vertex_normals(ball.vertices, ball.faces)
     angle = np.degrees(np.arccos(np.clip(np.einsum("vc,vc->v", found, ball.normals), -1, 1)))
     polar = np.degrees(np.arccos(np.clip(np.abs(ball.normals[:, 1]), 0, 1)))
-    # Second order in the 3.75 degrees between rings; measured worst .039 but for the poles, times 2.
+    # Second order in the 3.75 degrees between rings; measured worst 0.039 but for the poles, times 2.
     assert angle[polar > 0.1].max() < 0.08
 
 

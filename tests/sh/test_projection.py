@@ -89,7 +89,7 @@ def test_light_from_an_axis_has_its_linear_term(axis: int, sign: int) -> None:
     image = np.clip(sign * equirect_directions(33, 64)[..., axis], 0, None)[..., None] * np.ones(3)
     linear = project_equirect(image, 1).values[1:, 0]
     assert np.argmax(sign * linear) == [1, 2, 0][axis]
-    # The clamped cosine's own moment, 2 pi/3 sqrt(3/(4 pi)); interpolation over 33 rows costs up to .1 %.
+    # The clamped cosine's own moment, 2 pi/3 sqrt(3/(4 pi)); interpolation over 33 rows costs up to 0.1 %.
     assert np.abs(linear).max() == pytest.approx(2 * np.pi / 3 * np.sqrt(3 / (4 * np.pi)), rel=2e-3)
     assert np.sort(np.abs(linear))[1] < 1e-12
 

@@ -79,7 +79,7 @@ def test_the_learning_rate_warms_up_and_falls_as_a_cosine() -> None:
     optimiser = OptimiserRecipe(learning_rate=1.0, warmup_steps=4, final_lr_ratio=0.2)
     rates = [optimiser.rate(step, 105) for step in range(105)]
     assert rates[:5] == pytest.approx([0.2, 0.4, 0.6, 0.8, 1.0])
-    assert rates[54] == pytest.approx(0.6)  # half way, the mean of 1 and .2
+    assert rates[54] == pytest.approx(0.6)  # half way, the mean of 1 and 0.2
     assert rates[104] == pytest.approx(0.2)
     assert rates[4:] == sorted(rates[4:], reverse=True)
     constant = OptimiserRecipe(learning_rate=1.0, warmup_steps=0, final_lr_ratio=1.0)

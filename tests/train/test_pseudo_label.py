@@ -76,7 +76,7 @@ def test_answers_that_agree_are_sure() -> None:
 
 
 def test_answers_that_differ_are_not() -> None:
-    """The four views say (+-x, 0, z) by halves, atan(.5) = 26.6 degrees off a mean of length cos 26.6."""
+    """The four views say (+-x, 0, z) by halves, atan(0.5) = 26.6 degrees off a mean of length cos 26.6."""
     _, confidence = predict_with_confidence(Frank(sides=True), torch.full((1, 3, 16, 16), 0.4))
     spread = 2 * (1 - 1 / 1.25**0.5)
     torch.testing.assert_close(

@@ -35,7 +35,7 @@ def recipe(precision: Precision = "float32") -> Recipe:
 
 
 #: Share of the first loss that may be left after 60 steps: twice the worst of two seeds and two precisions
-#: (.042, .055, .028, .066, .025).
+#: (0.042, 0.055, 0.028, 0.066, 0.025).
 SHARES = {"total": 0.085, "recon": 0.11, "normal": 0.06, "albedo": 0.13, "light": 0.05}
 
 

@@ -47,7 +47,7 @@ def test_a_late_collapse_is_told_within_a_few_spans() -> None:
     watch = CollapseMonitor()
     for _ in range(10 * STEPS):
         assert not watch.see({"normal": 0.9, "albedo": 0.7})
-    # (1 - 1 / STEPS)^n falls below SMALLEST / .9 after 1.8 spans.
+    # (1 - 1 / STEPS)^n falls below SMALLEST / 0.9 after 1.8 spans.
     late = [step for step in range(4 * STEPS) if watch.see({"normal": 0.0, "albedo": 0.7})]
     assert late
     assert 1.5 * STEPS < late[0] < 2.5 * STEPS

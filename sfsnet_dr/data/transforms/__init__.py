@@ -1,1 +1,1 @@
-"""Transforms."""
+"""Operations on images and maps: crop, mirror, camera, background, JPEG, affine moves."""

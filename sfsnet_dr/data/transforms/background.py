@@ -1,7 +1,4 @@
-"""What stands behind a face: the place that lights it, a wall, or blurred things in muted colours.
-
-What varies between the training images of one face: its light, what is behind it, and the camera.
-"""
+"""Backgrounds of training images, and the settings of all augmentations."""
 
 from __future__ import annotations
 

@@ -1,9 +1,7 @@
-"""From the linear image of a face to a photograph of it: background, lens, exposure, sensor, frame, JPEG.
+"""A camera model: exposure, white balance, blur, noise, JPEG and crop; and metering for networks.
 
 The steps have the order of a camera's. What they take is drawn first (``sample_effects``), so that a
 photograph can be made again and its light label can follow: exposure and white balance multiply the light.
-
-Bringing a photograph into the range of exposures that networks are trained on.
 
 A camera meters the whole picture; a database with fixed lamps does not meter at all, and a face lit from the
 side is then ten times darker than anything in training. Scaling linear light changes neither normals nor
@@ -237,7 +235,7 @@ def _smoothed(images: Tensor, weights: Tensor, axis: int) -> Tensor:
 
 
 #: Mean linear luminance of a face's pixels that is left as it is. Four in five of 300 photographs lie within;
-#: their median is .30, their 5th and 95th percentiles are .13 and .46.
+#: their median is 0.30, their 5th and 95th percentiles are 0.13 and 0.46.
 USUAL: Final = (0.1, 0.4)
 
 

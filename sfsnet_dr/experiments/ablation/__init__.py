@@ -1,1 +1,1 @@
-"""Ablation."""
+"""Networks that differ in one setting: ``sfsnet-dr ablations``."""

@@ -1,9 +1,4 @@
-"""Times of several contenders, taken in turns so that a machine that slows down slows all of them.
-
-What a time is bound by, in words, from the time of its kernels and of a copy.
-
-How fast rays can be traced at best, and where the time of a computation goes.
-"""
+"""Timing of contenders in turns, what bounds a time, and the kernel history of Dr.Jit."""
 
 from __future__ import annotations
 

@@ -1,8 +1,6 @@
-"""Responses to light the plain way: one ``mi.render`` for each light, as a user without transport would.
+"""Transport rendered naively, one ``mi.render`` per light, and the noise of transport.
 
 It stands beside ``render.transport`` to be measured against: same surface and lights, Mitsuba's own renderer.
-
-Noise of a face's light transport, from captures of independent seeds.
 """
 
 from __future__ import annotations

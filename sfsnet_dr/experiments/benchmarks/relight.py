@@ -1,6 +1,4 @@
-"""``sfsnet-dr bench relight``: relit faces against path-traced ones as records and a page, face by face.
-
-How far relit faces are from path-traced ones under the same lights, and why.
+"""``sfsnet-dr bench relight``: errors of relit faces against path-traced ones, by cause.
 
 Noise is in no number: an error is a mean product of two differences, each of a relit image and a reference
 that share no random number with the other pair.

@@ -1,7 +1,4 @@
-"""``sfsnet-dr bench train``: a recipe's step against the plain float32 one, and where its time goes.
-
-The steps that ``bench train`` times: a recipe's own, and the plain one in a process of its own.
-"""
+"""``sfsnet-dr bench train``: a recipe's training step against the naive one."""
 
 from __future__ import annotations
 

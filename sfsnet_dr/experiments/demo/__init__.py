@@ -1,1 +1,1 @@
-"""Demo."""
+"""The whole pipeline on a small scale: ``sfsnet-dr demo``."""

@@ -1,1 +1,1 @@
-"""Evaluation."""
+"""Networks and baselines on faces with known normals: ``sfsnet-dr evaluate``."""

@@ -1,7 +1,4 @@
-"""Photographs and what methods make of them, as sheets for the page of an evaluation.
-
-Which photographs a page shows: none picked by hand.
-"""
+"""Sheets of photographs with what each method makes of them, chosen by rule, not by hand."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""One method on photographs: what is kept of every one.
-
-Parts of a face in the canonical frame, for errors by region.
-"""
+"""Run one method on photographs and keep the errors of each, over the face and by region."""
 
 from __future__ import annotations
 

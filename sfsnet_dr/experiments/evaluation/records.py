@@ -1,7 +1,4 @@
-"""Errors of many photographs as records: over all, by the light's angle and the face's regions.
-
-Records of an evaluation as tables: small ones for a page, one wide one for other programs.
-"""
+"""Errors of many photographs as records and as tables."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""All methods on one collection of photographs: records, a table, and a page with pictures.
-
-The page shows people; it goes where its caller wants it and never among stored results.
-
-Everything that a folder holds, measured with the same methods: a page each, and one over all.
-"""
+"""Evaluate all methods on one collection of photographs, or on everything that a folder holds."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Photometric stereo."""
+"""Normal labels from image sets: ``sfsnet-dr photometric-stereo``."""

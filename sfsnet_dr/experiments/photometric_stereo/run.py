@@ -1,7 +1,4 @@
-"""Ground truth from photographs under known lights: labels, and how far two halves of the lights agree.
-
-What photometric stereo found, as records.
-"""
+"""Compute normal labels from image sets, write them, and record how good they are."""
 
 from __future__ import annotations
 

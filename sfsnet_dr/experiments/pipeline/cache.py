@@ -1,4 +1,4 @@
-"""What a study does once and keeps: faces, labels and networks; what was stopped is gone on with."""
+"""Faces, labels and networks that are made once and kept; what was stopped is continued."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""What came out of a set of stages: every network measured on the same held-back faces and photographs.
-
-The optional last stage: SfSNet before and after fine-tuning, on subjects that it never saw.
-"""
+"""Measure every network of a set of stages on the same validation faces and photographs."""
 
 from __future__ import annotations
 

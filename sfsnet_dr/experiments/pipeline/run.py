@@ -28,7 +28,7 @@ from sfsnet_dr.train.run import WEIGHTS
 def run_stages(plan: Plan, *, command: str, console: Console | None = None) -> list[Record]:
     """Run the stages that are not done yet, measure all networks, and write ``index.html``.
 
-    Everything that a stage made is kept under the plan's folder; a stage that was stopped is gone on with,
+    Everything that a stage made is kept under the plan's folder; a stage that was stopped is continued,
     one that is done from the same recipe, faces and labels is not run again.
 
     Args:

@@ -1,1 +1,1 @@
-"""Regression."""
+"""Renderers against closed forms and stored references: ``sfsnet-dr regress``."""

@@ -17,7 +17,7 @@ FOLDER: Final = Path(sfsnet_dr.__file__).parents[1] / "eval"
 CONFIG: Final = FOLDER / "regress.toml"
 REFERENCES: Final = FOLDER / "references"
 
-#: Rays behind the SH renderers' maps and transport: enough that one 8 x 8 block is known to .3 %.
+#: Rays behind the SH renderers' maps and transport: enough that one 8 x 8 block is known to 0.3 %.
 _SAMPLING: Final = SamplingSpec(spp=64, paths_per_hit=4)
 
 

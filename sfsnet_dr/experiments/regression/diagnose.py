@@ -1,7 +1,4 @@
-"""Why an image differs: known defects are fitted to the difference, the one that explains most is named.
-
-What a failing pair leaves: both images, their difference, a map of p-values, and a line of cause.
-"""
+"""Why an image differs: known faults are fitted to the difference, and the evidence is written."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Planted defects and repeated clean runs: what the matrix sees, and how often it cries wolf.
-
-Defects that are planted into renderers, to see that they are found.
-"""
+"""Fault injection: detection limits and false-alarm rate of the regression matrix."""
 
 from __future__ import annotations
 

@@ -69,7 +69,7 @@ def truncate_light(light: Light, order: int) -> tuple[Light, Light | None]:
     wanted = light.coefficients(order).values
     basis = sh_basis(equirect_directions(*MAP_SIZE), order)
     given = wanted
-    for _ in range(2):  # texels are interpolated, which weakens band l by about l^2 x .03 %
+    for _ in range(2):  # texels are interpolated, which weakens band l by about l^2 x 0.03 %
         found = project_equirect(basis @ given, order).values
         given = given + wanted - found
     values = basis @ given

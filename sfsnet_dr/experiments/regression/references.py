@@ -233,6 +233,6 @@ def _stack(planes: dict[str, npt.NDArray[np.float32]], name: str, letters: str) 
 
 
 def _coarse(values: Array) -> Array:
-    """Values rounded to 7 bits, .4 %: nobody knows a variance better, and the file is half as large."""
+    """Values rounded to 7 bits, 0.4 %: nobody knows a variance better, and the file is half as large."""
     mantissa, exponent = np.frexp(values)
     return np.ldexp(np.round(mantissa * 128) / 128, exponent)

@@ -92,10 +92,8 @@ def regress(options: Options) -> RegressionResult:
     given = read_spec(options.config)
     spec = choose_pairs(given, options.scenes, options.lights, options.renderers)
     if options.renderers is None:
-        strangers = tuple(
-            name for name in renderers() if not is_built_in(name) and name not in spec.renderers
-        )
-        spec = RegressSpec(**{**vars(spec), "renderers": (*spec.renderers, *strangers)})
+        foreign = tuple(name for name in renderers() if not is_built_in(name) and name not in spec.renderers)
+        spec = RegressSpec(**{**vars(spec), "renderers": (*spec.renderers, *foreign)})
     for name in spec.renderers:
         check_renderer(name)
     folder = output_dir(options.out)

@@ -1,7 +1,4 @@
-"""What a case is: inputs as data, and what is expected of every form that meets them.
-
-Hard numbers: normals, lights, albedo, shapes, kinks, NaN and inf.
-"""
+"""Edge cases: inputs as data, and the expected result of every backend."""
 
 from __future__ import annotations
 
@@ -95,7 +92,7 @@ class Case:
 
 
 def default_case(rng: Rng, batch: int = 2, height: int = 12, width: int = 12, order: int = 2) -> Leaves:
-    """Unit normals all around, albedo .1 to 1, a light of mean 1, an image that is off, a mask.
+    """Unit normals all around, albedo 0.1 to 1, a light of mean 1, an image that is off, a mask.
 
     Row 0 of the mask is left out, row 1 counts fully, the others count partly.
     """
@@ -116,9 +113,10 @@ def default_case(rng: Rng, batch: int = 2, height: int = 12, width: int = 12, or
 
 
 def with_image(leaves: Leaves, rng: Rng) -> Leaves:
-    """Add the image: off by .1 to .5 of the scale everywhere, so that no rounding can turn a residual's sign.
+    """Add the image: off by 0.1 to 0.5 of the scale everywhere, so that no rounding can turn a residual's
+    sign.
 
-    Where the scale is denormal it is off by .1 to .5, because the residual would be flushed to 0.
+    Where the scale is denormal it is off by 0.1 to 0.5, because the residual would be flushed to 0.
     """
     normal, albedo, light = leaves["normal"], leaves["albedo"], leaves["light"]
     found = expected_image(normal, albedo, light, np.zeros_like(albedo))

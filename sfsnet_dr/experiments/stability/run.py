@@ -1,7 +1,4 @@
-"""``sfsnet-dr stability``: every case on every form, as records, a table and a page.
-
-The page of ``sfsnet-dr stability``: all cases, what was expected, the worst error of every form.
-"""
+"""``sfsnet-dr stability``: every case on every backend, as records and a page."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Validation."""
+"""SH shading against the path tracer: ``sfsnet-dr validate``."""

@@ -1,7 +1,4 @@
-"""The page of a validation: what is wrong, by how much, why, and what mending it costs.
-
-The tables of a validation's page.
-"""
+"""The page of a validation: tables, plots and error maps."""
 
 from __future__ import annotations
 

@@ -149,7 +149,7 @@ class FineMaps:
         """(H, W, 3) image by all of the light, as if nothing shadowed anything.
 
         Lamps are exact. For a map the irradiance is summed over its texels for 64 x 128 normals and
-        interpolated between them, which is right to about .1 %.
+        interpolated between them, which is right to about 0.1 %.
         """
         total = np.zeros_like(self.normal)
         if light.environment is not None:

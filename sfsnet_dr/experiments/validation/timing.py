@@ -1,4 +1,4 @@
-"""Where the time of one image goes: tracing, compiling, executing; and how near execution is to a plain copy.
+"""Time of one image by where it goes, warm, frozen and cold.
 
     warm     the whole call on data in Dr.Jit's memory, kernels compiled: tracing, code generation, execution
     frozen   the same under ``dr.freeze``, which replays the kernel without tracing
@@ -7,8 +7,6 @@
 Tracing is what is left of a warm call when the kernel history's code generation, compilation and execution
 are taken off. The share of the copy bandwidth is taken on so many images at once that they do not fit into a
 cache, against a copy of as many bytes a moment before: small images are bound by overhead instead.
-
-The first image of a process: every rung once, kernels compiled from nothing, in a process of its own.
 
 Run as ``python -m sfsnet_dr.experiments.validation.timing SIZE GLOSS`` with an empty ``DRJIT_CACHE_DIR``; it
 prints JSON. Compiling does not depend on the surface, so that it looks at a ball.

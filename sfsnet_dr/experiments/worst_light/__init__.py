@@ -1,1 +1,1 @@
-"""Worst light."""
+"""The light for which SH shading is most wrong: ``sfsnet-dr worst-light``."""

@@ -1,10 +1,8 @@
-"""A scene's answers to many lights, each seen twice, and the analytic model's to the same lights.
+"""Responses of a scene to basis and directional lights, path traced twice, and by the SH model.
 
 Everything about how wrong the model is under *any* mixture of these lights follows from inner products of
 the responses (``PreparedResponses``): no further image is rendered. Two captures with noise of their own,
 multiplied with each other and never with themselves, leave no noise in the mean.
-
-Lights as a scene has them, as mixtures of directional lights whose answers are known.
 """
 
 from __future__ import annotations

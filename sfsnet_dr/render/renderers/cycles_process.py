@@ -84,8 +84,8 @@ def lambertian():
     Cycles alone would shade the rest too. At a silhouette that is light which Mitsuba does not have.
 
     One difference stays: where a triangle faces away from a light and its shading normal does not, shadow
-    rays of Cycles miss some of what Mitsuba's meet. That is .01 % of a head's light in the sun, up to .2 % of
-    the mean in a block of 8 x 8 of 64 x 64 pixels. With flat normals both agree.
+    rays of Cycles miss some of what Mitsuba's meet. That is 0.01 % of a head's light in the sun, up to 0.2 %
+    of the mean in a block of 8 x 8 of 64 x 64 pixels. With flat normals both agree.
     """
     material = bpy.data.materials.new("lambertian")
     material.use_nodes = True

@@ -1,13 +1,9 @@
-"""Renderers that run in a process of their own: another Mitsuba variant, or Blender's Cycles.
-
-Subjects and lights as files, for renderers in processes of their own.
+"""Renderers in processes of their own: files that go in and out, Mitsuba variants and Cycles.
 
 A subject is a folder of ``subject.json`` (its scene, seed and camera) and ``mesh.npz``: ``vertices``,
 ``faces``, ``normals``, ``albedo``, ``regions`` and, with gloss, ``roughness_mix``, as ``scene.mesh.Mesh`` has
 them. A light is a folder of ``light.json`` (its name, and its directional lights as pairs of direction and
 irradiance) and, if there is an environment, ``environment.npy`` (64, 128, 3). Nothing is pickled.
-
-Path tracers that need a process of their own: Mitsuba's other variants, and Cycles.
 
 Mitsuba's variant belongs to a whole process. Cycles comes with Blender (``bpy``), under the GPL and with an
 older NumPy: it lives in an environment of its own that ``make cycles`` sets up, and only files pass between.

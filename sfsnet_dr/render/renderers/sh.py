@@ -1,11 +1,7 @@
-"""The SH models as renderers: order 0 to 4 in three implementations, and with visibility or one bounce.
+"""SH shading models as renderers, and the maps and transport that they need of a subject.
 
 Names: ``torch-order2`` shades normals; ``numpy-order4-visibility`` weighs light transport, which knows cast
 shadows; ``-bounce`` adds light that met one further point. Gloss is left out. Images are not clamped.
-
-What the SH renderers know of a subject before any light is chosen: maps and transport, traced once.
-
-Nothing here depends on the light, so it is kept as long as its subject lives.
 """
 
 from __future__ import annotations

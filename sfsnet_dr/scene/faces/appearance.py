@@ -28,7 +28,7 @@ class Appearance:
     """Surface of one person.
 
     Attributes:
-        albedo: (V, 3) linear Rec. 709 reflectance in [.003, .9].
+        albedo: (V, 3) linear Rec. 709 reflectance in [0.003, 0.9].
         roughness_mix: (V,) share of the shiny lobe against the dull one, in [0, 1].
         ita: individual typology angle of the person's plain skin, degrees.
         person: tone, sex and age.

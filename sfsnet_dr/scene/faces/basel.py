@@ -1,9 +1,7 @@
-"""Basel-style morphable models (BFM 2017, BFM 2019): mean and principal components in statismo's HDF5 layout.
+"""Basel-style morphable models (BFM 2017, BFM 2019): files, regions and heads.
 
 The files cannot be passed on, so that users bring their own. Their surface is closed: no eyeballs, no mouth;
 eyes are painted on it. Regions come from the landmarks that the files carry in ``metadata/landmarks/json``.
-
-Regions of a Basel-style face, drawn on its front from a handful of landmarks.
 """
 
 from __future__ import annotations
@@ -169,7 +167,9 @@ def _brows(neutral: Array, landmarks: Points) -> Array:
     return weight
 
 
-_SPREAD = 3.0  # as for ICT FaceKit: standard deviation .9 of unit coefficients at ``HeadSpec.identity`` = .3
+_SPREAD = (
+    3.0  # as for ICT FaceKit: standard deviation 0.9 of unit coefficients at ``HeadSpec.identity`` = 0.3
+)
 _EXTREME = 2.2
 
 
@@ -278,7 +278,7 @@ class BaselFace:
         return HeadShape(vertices, self._middles(vertices) + self._eye_offset)
 
     def colour(self, streams: Streams) -> Array | None:
-        """(V, 3) linear albedo of the colour statistics, in [.003, .9]."""
+        """(V, 3) linear albedo of the colour statistics, in [0.003, 0.9]."""
         if self._file.color is None:
             return None
         encoded = self._file.color.sample(streams(Stream.ALBEDO), 1.0)

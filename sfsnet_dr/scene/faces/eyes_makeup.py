@@ -1,7 +1,4 @@
-"""Colours of eyes, teeth and tongue.
-
-Make-up on some faces: foundation, rouge, lip colour, lids and lash line.
-"""
+"""Colours of eyes, teeth, tongue and make-up."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ from sfsnet_dr.scene.spec import HeadSpec
 Array = npt.NDArray[np.float64]
 
 _SPREAD = (
-    3.0  # standard deviation of the coefficients for ``HeadSpec.identity`` of 1: .9 for the default of .3
+    3.0  # standard deviation of the coefficients for ``HeadSpec.identity`` of 1: 0.9 for the default of 0.3
 )
 _EXTREME = 2.2  # coefficients beyond this many standard deviations are drawn again
 _LIDS_AT_REST = (0.08, 0.28)  # of a full blink: the neutral face has its eyes wide open

@@ -1,7 +1,7 @@
 """Reads ICT FaceKit (Li et al., CVPR 2020; MIT licence): the OBJ files of a clone, or one compact ``.npz``.
 
 Both give the same numbers: blend shapes are offsets from the neutral mesh in centimetres, rounded to half
-precision (at most .002 mm on the largest of them).
+precision (at most 0.002 mm on the largest of them).
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ from sfsnet_dr.scene.faces.regions import RegionWeights
 Array = NDArray[np.float64]
 Fields = NDArray[np.float32]
 
-#: Fields of an octave that are kept. Two persons' mixtures correlate by 1 / sqrt(24) = .2 at random.
+#: Fields of an octave that are kept. Two persons' mixtures correlate by 1 / sqrt(24) = 0.2 at random.
 RANK: Final = 24
 
 _SIZE = 64  # grid points a period of the volume, each way

@@ -101,7 +101,7 @@ def place_head(points: Array, eyes: Array, pose: Pose, camera: CameraSpec) -> Ar
 
     Returns:
         (N, 3) in scene units. With yaw 0 both eyes project to the pose's similarity transform of the
-        canonical eye centres within .001 pixel; with any yaw their middle and their line do.
+        canonical eye centres within 0.001 pixel; with any yaw their middle and their line do.
 
     Raises:
         InputError: if the camera is so close that no size of the head does that.

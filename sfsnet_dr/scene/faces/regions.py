@@ -1,7 +1,4 @@
-"""Which part of the Anny head each vertex belongs to, as soft weights on the subdivided neutral head.
-
-Distances to curves in the plane, with which regions are drawn on a face.
-"""
+"""Soft regions of the Anny head: lips, lids, ears, brows, scalp, eyes; and distances to outlines."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""From skin spectra to linear Rec. 709, and the individual typology angle that grades skin tones.
-
-Skin colour by table: a face's map of pigments becomes colours in milliseconds.
+"""Skin spectra to linear Rec. 709, a table of skin colours, and the individual typology angle.
 
 The table spans melanin, blood, saturation and thickness. A person has one thickness, so that the table is cut
 to three axes first.
@@ -20,7 +18,7 @@ from sfsnet_dr.scene.faces.skin_optics import WAVELENGTHS, skin_reflectance
 
 Array = NDArray[np.float64]
 
-#: Least linear value of a skin colour: the spectra of dark skin reach -.001 in blue, outside Rec. 709.
+#: Least linear value of a skin colour: the spectra of dark skin reach -0.001 in blue, outside Rec. 709.
 GAMUT_FLOOR: Final = 0.004
 
 

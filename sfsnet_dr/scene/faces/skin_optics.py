@@ -102,10 +102,11 @@ def skin_reflectance(
     """Reflectance of skin at ``WAVELENGTHS``; the arguments broadcast.
 
     Args:
-        melanin: share of the epidermis that is melanosomes; .013 to .06 in light, .18 to .43 in dark skin.
-        blood: share of the dermis that is blood, .002 to .03.
-        saturation: share of haemoglobin that carries oxygen, .6 to .8.
-        thickness: of the epidermis in cm, .005 to .025.
+        melanin: share of the epidermis that is melanosomes; 0.013 to 0.06 in light, 0.18 to 0.43 in dark
+            skin.
+        blood: share of the dermis that is blood, 0.002 to 0.03.
+        saturation: share of haemoglobin that carries oxygen, 0.6 to 0.8.
+        thickness: of the epidermis in cm, 0.005 to 0.025.
         epidermis: see the head of this file.
 
     Returns:

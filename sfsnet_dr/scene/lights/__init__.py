@@ -1,1 +1,3 @@
-"""Lights."""
+"""Lights: what one is (``light``), kinds and their samplers (``spec``, ``sampling``), named sets
+(``presets``).
+"""

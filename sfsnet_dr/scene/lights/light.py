@@ -143,7 +143,7 @@ class Light:
         """Shading (..., 3) of a convex white surface with unit normals (..., 3); nothing is negative.
 
         Directional lights are exact, the map goes by its expansion to order 4. Path-traced balls under 24
-        lights of all kinds differed by 0 to .9 % (root mean square), and by 2 % under a small studio panel.
+        lights of all kinds differed by 0 to 0.9 % (root mean square), and by 2 % under a small studio panel.
         """
         total = np.maximum(self.environment_coefficients().to_shading().evaluate(normals), 0.0)
         for direction, irradiance in self.directional:

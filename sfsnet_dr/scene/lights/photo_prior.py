@@ -1,9 +1,7 @@
-"""A distribution of lights: a mixture of normal distributions over the 27 shading coefficients.
+"""Lights as photographs have them: draws from a Gaussian mixture over fitted coefficients.
 
 The numbers live in a small JSON file, so that what was learnt from photographs travels without them.
 Coefficients are in units in which a face's mean shading (``metered``) has the luminance 1.
-
-Lights as photographs of faces have them: drawn from a fitted mixture, then made a light that can exist.
 
 A light fitted to a face is nine numbers a colour, and the environment with just these is negative somewhere
 as a rule. Shadows need an environment without negative parts, so the nearest such one is taken: soft lobes

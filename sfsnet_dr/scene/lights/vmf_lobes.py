@@ -121,7 +121,7 @@ def lobe_bands(kappa: float, order: int) -> NDArray[np.float64]:
 
 
 def sample_lights(rng: np.random.Generator, count: int) -> list[LobeLight]:
-    """Draw lights, exposed so that a surface facing the viewer has a shading of .7 to 1.1 (luminance).
+    """Draw lights, exposed so that a surface facing the viewer has a shading of 0.7 to 1.1 (luminance).
 
     Each has its own ambient tint and gradient, 1 to 3 lobes of their own tint (2800 to 10000 K) and sharpness
     (2 to 40, log-uniform), more often in front and above than behind; the first is always in front.

@@ -54,7 +54,7 @@ def test_a_moved_ball_is_a_ball_elsewhere(moved: InPlane, where: tuple[float, fl
     assert not bool((inside & ~(wanted_inside > 0)).any())
     assert inside.sum() > 0.75 * wanted_inside.sum()  # but for a rim of one pixel
     steep = inside & (wanted[:, 2:] > 0.5)
-    # Bilinear interpolation of a ball's normals: (1 / radius)^2 / 8 / z^3 < .01.
+    # Bilinear interpolation of a ball's normals: (1 / radius)^2 / 8 / z^3 < 0.01.
     assert float(((found - wanted).norm(dim=1, keepdim=True) * steep).max()) < 0.01
 
 

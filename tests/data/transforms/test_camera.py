@@ -58,7 +58,7 @@ def test_noise_grows_as_photons_and_amplifiers_have_it() -> None:
     for signal in (0.1, 0.6):
         flat = torch.full((1, 3, 100, 100), signal)
         got = take(replace(PLAIN, noise=0.02), flat)
-        # Variance level^2 (signal + read noise); 30,000 samples give its root to .4 %, times 4.
+        # Variance level^2 (signal + read noise); 30,000 samples give its root to 0.4 %, times 4.
         assert got.std().item() == pytest.approx(0.02 * (signal + READ_NOISE) ** 0.5, rel=0.016)
         assert got.mean().item() == pytest.approx(signal, abs=4e-4)
     first, again, other = (take(replace(PLAIN, noise=0.02, seed=seed)) for seed in (1, 1, 2))
@@ -107,7 +107,7 @@ def test_what_is_drawn() -> None:
     stops = np.log2([effect.gain for effect in drawn])
     assert np.abs(stops[:, 1]).max() <= 0.5
     assert stops[:, 0].std() > stops[:, 1].std()  # white balance is added to red and blue
-    # Shares of 400: 4 standard deviations are .1.
+    # Shares of 400: 4 standard deviations are 0.1.
     assert np.mean([effect.quality is not None for effect in drawn]) == pytest.approx(0.5, abs=0.1)
     assert np.mean([effect.grey for effect in drawn]) == pytest.approx(0.25, abs=0.1)
     assert {effect.quality for effect in drawn} - {None} <= set(range(50, 99))

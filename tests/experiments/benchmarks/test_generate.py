@@ -29,7 +29,7 @@ TINY = SceneSpec(
 
 
 def noisy_capture(seed: int, noise: float) -> TransportMaps:
-    """White transport of .5 with noise, under a mask that leaves out what is wrong."""
+    """White transport of 0.5 with noise, under a mask that leaves out what is wrong."""
     rng = np.random.default_rng(seed)
     mask = np.ones((32, 32), np.float32)
     mask[0] = 0
@@ -46,7 +46,7 @@ def noisy_capture(seed: int, noise: float) -> TransportMaps:
 
 def test_noise_is_found_again() -> None:
     found = measure_noise([noisy_capture(seed, 0.01) for seed in range(4)])
-    # 25 x 31 x 32 x 3 values with 3 degrees of freedom each: .2 %; the fewest, of gloss, .6 %
+    # 25 x 31 x 32 x 3 values with 3 degrees of freedom each: 0.2 %; the fewest, of gloss, 0.6 %
     assert found.transport == pytest.approx(0.02, rel=0.01)
     assert found.gloss == pytest.approx(0.02, rel=0.03)
     assert found.directional == pytest.approx(0.02, rel=0.02)

@@ -94,7 +94,7 @@ def test_the_mean_albedo_leaves_the_subject_out_and_takes_each_as_bright_as_the_
     images = torch.full((3, 3, 4, 4), 0.4)
     answer = method(images, torch.ones(3, 1, 4, 4), ["a", "b", "c"])
     assert not answer.divided
-    # b is .5 everywhere, a and c .75 and .25 where they are known
+    # b is 0.5 everywhere, a and c 0.75 and 0.25 where they are known
     mixed = torch.tensor([0.625, 0.625, 0.375, 0.375])
     torch.testing.assert_close(answer.albedo[0, 0, 1:], mixed.expand(3, 4))
     torch.testing.assert_close(answer.albedo[0, 0, 0], torch.full((4,), 0.5))
@@ -194,7 +194,7 @@ def test_reconstruction_is_measured_in_8_bit_units() -> None:
             return Prediction(normal, images, torch.zeros(len(images), 27), torch.zeros_like(images))
 
     (errors,) = measure_methods(Black(), collected(face("a", 0, [FRONT])).shots).images
-    # .4 linear is 169.9 of 255 encoded: 255 (1.055 * .4^(1/2.4) - .055).
+    # 0.4 linear is 169.9 of 255 encoded: 255 (1.055 * 0.4^(1/2.4) - 0.055).
     assert errors.mae == pytest.approx(255 * (1.055 * 0.4 ** (1 / 2.4) - 0.055), abs=1e-3)
     assert errors.rmse == pytest.approx(errors.mae)
 

@@ -159,7 +159,7 @@ def test_regions_divide_the_mask() -> None:
 
 def test_causes_of_a_known_picture() -> None:
     labels = face("a", 0, [FRONT, SIDE])
-    # Albedo .5 under a frontal light of strength 1 is .5; the first half gets less than half of it.
+    # Albedo 0.5 under a frontal light of strength 1 is 0.5; the first half gets less than half of it.
     labels.image[0, :, :2] = 0.2
     labels.image[0, :, 2:] = 0.5
     labels.image[0, :, 3] = 0.99

@@ -59,8 +59,8 @@ def test_noise_of_the_levels_stays_out_and_noise_of_the_model_is_told_apart() ->
         ErrorStep("interreflection", direct, noisy(truth)),
     ]
     parts = decompose_error(steps, mask, noise=0.05**2)
-    # Products of two noises of .2 average over 76,800 values to .2^2 / sqrt(76800) = 1.5e-4: of .06^2 that is
-    # 4 %, of the size 2 %; three times that. With the noise left in, both sizes would be .28 and more.
+    # Products of two noises of 0.2 average over 76,800 values to 0.2^2 / sqrt(76800) = 1.5e-4: of 0.06^2 that
+    # is 4 %, of the size 2 %; three times that. With the noise left in, both sizes would be 0.28 and more.
     assert parts["truncation"].size == pytest.approx(0.06, rel=0.06)
     assert parts["interreflection"].size == pytest.approx(0.1, rel=0.06)
     assert parts["noise"].size == pytest.approx(0.05, rel=1e-3)  # the truth it is divided by has noise

@@ -113,7 +113,7 @@ def test_the_path_tracer_reproduces_the_errors(gloss: bool) -> None:
     ):
         assert shown.traced.value == pytest.approx(shown.error.value, rel=tolerance)
     assert found.non_negative.error.value < found.signed.error.value
-    # The search takes negative squares of images, which are noise, as 0: .1 % seen, times 5.
+    # The search takes negative squares of images, which are noise, as 0: 0.1 % seen, times 5.
     assert found.signed.error.value == pytest.approx(found.own.signed.error, rel=5e-3)
     assert found.directional.error.value == pytest.approx(np.nanmax(found.own.directional.of_own), rel=1e-4)
 
@@ -127,7 +127,7 @@ def test_directional_lights_add_up_to_the_basis_lights() -> None:
     weights = sh_basis(icosphere(3), 4) * icosphere_solid_angles(3)[:, None]
     summed = np.einsum("nk,cnm,mj->ckj", weights, hard.truth, weights, optimize=True)
     direct = basis_responses(of, 1).forms().truth
-    # Noise of 100 pixels: 1.6 % of the largest value seen, times 2; at 48 x 48 pixels it was .3 %.
+    # Noise of 100 pixels: 1.6 % of the largest value seen, times 2; at 48 x 48 pixels it was 0.3 %.
     assert np.abs(summed - direct).max() < 0.03 * np.abs(direct).max()
 
 
@@ -140,7 +140,7 @@ def test_errors_on_a_ball_are_those_in_closed_form() -> None:
     place = (np.arange(480) + 0.5) / 240 - 1
     x, y = np.meshgrid(place, -place)
     inside = np.repeat(np.repeat(images.mask, 10, axis=0), 10, axis=1)
-    # A ball of radius .9 about the origin, seen from z = 12: where the rays meet it.
+    # A ball of radius 0.9 about the origin, seen from z = 12: where the rays meet it.
     ray = np.stack([x, y, np.full_like(x, -12.0)], axis=-1)[inside]
     ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
     along = -12 * ray[:, 2] - np.sqrt((12 * ray[:, 2]) ** 2 - 12**2 + 0.81)

@@ -95,7 +95,7 @@ def test_a_ball_in_uniform_light_shows_its_albedo_and_its_share_of_the_silhouett
         image = render(name, sphere, light)
         assert image.shape == (32, 32, 3)
         np.testing.assert_allclose(image[16, 16], COLOUR, atol=2e-4)
-        # 64 rays a pixel place an edge to about 1 %, 256 paths to 3 %: 5 standard deviations of .6 x 3 %.
+        # 64 rays a pixel place an edge to about 1 %, 256 paths to 3 %: 5 standard deviations of 0.6 x 3 %.
         np.testing.assert_allclose(image, traced, atol=0.09)
         assert (image[0] == 0).all()
 

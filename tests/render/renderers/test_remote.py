@@ -113,7 +113,7 @@ def test_cycles_agrees_where_shading_normals_face_away_from_the_viewer() -> None
     names = ("cycles-direct", "mitsuba-llvm-direct")
     ours, theirs = (find_renderer(name).render(ball, light, Budget(256, 0)) for name in names)
     assert (theirs[10:14, 21:23] == 0).all()  # the rim at the right, towards the light
-    # 256 points of a pixel in two samplers: edges of what is lit differ by 3 % of .2 at most.
+    # 256 points of a pixel in two samplers: edges of what is lit differ by 3 % of 0.2 at most.
     np.testing.assert_allclose(ours, theirs, atol=0.01)
 
 
@@ -125,8 +125,9 @@ def relative(image: NDArray[np.floating], reference: NDArray[np.floating]) -> ND
 @pytest.mark.slow
 def test_spectra_differ_from_colours_only_where_coloured_light_meets_coloured_skin() -> None:
     # A product of two smooth spectra has not the product of their colours; what it has depends on how the
-    # spectra were made of colours (Jakob and Hanika 2019). Measured, with .1 % of noise: .4 % in white light,
-    # 1.3 % in coloured light. (Light that met two coloured surfaces differs by 1.4 % though it was white.)
+    # spectra were made of colours (Jakob and Hanika 2019). Measured, with 0.1 % of noise: 0.4 % in white
+    # light, 1.3 % in coloured light. (Light that met two coloured surfaces differs by 1.4 % though it was
+    # white.)
     for tint, low, high in (((1.0, 1.0, 1.0), 0.0, 0.008), ((1.0, 0.8, 0.5), 0.008, 0.03)):
         light = oblique_sky(tint)
         spectral, colours = (estimate(f"mitsuba-{kind}-direct", light, 128) for kind in ("spectral", "llvm"))

@@ -56,7 +56,7 @@ def test_surfaces_are_finite_and_within_bounds() -> None:
 
 def test_skin_has_the_tone_of_the_person() -> None:
     for person in people():
-        # Linear interpolation in log melanin between 60 nodes: .015 degrees seen.
+        # Linear interpolation in log melanin between 60 nodes: 0.015 degrees seen.
         assert person.ita == pytest.approx(person.person.tone, abs=0.05)
         painted = float(np.median(typology_angle(person.albedo[bare(person)])))
         # Sun, blood and spots shift the median of a face against its plain skin: 7.5 degrees at most seen.
@@ -80,7 +80,7 @@ def test_lips_are_redder_than_the_skin_around() -> None:
     for person in people():
         skin = linear_to_lab(person.skin.colour())
         redder.append(skin[lips, 1].mean() > skin[bare(person), 1].mean())
-    assert all(redder)  # before make-up: by .8 to 10 in a*
+    assert all(redder)  # before make-up: by 0.8 to 10 in a*
 
 
 def test_brows_are_darker_than_skin_unless_it_is_dark() -> None:

@@ -135,7 +135,7 @@ def test_its_colours_become_the_albedo(spec: SceneSpec) -> None:
     assert len(people) == 30
     np.testing.assert_array_equal(face.mesh.albedo, people[4])
     assert not np.array_equal(people[4], people[5])
-    # 30 people of deviation .014 in sRGB: three standard errors and the curve of sRGB are below .02.
+    # 30 people of deviation 0.014 in sRGB: three standard errors and the curve of sRGB are below 0.02.
     np.testing.assert_allclose(people.mean(axis=(0, 1)), srgb_to_linear(np.full(3, 0.6)), atol=0.02)
 
 

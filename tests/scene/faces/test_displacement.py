@@ -47,8 +47,8 @@ def skin() -> NDArray[np.bool_]:
 def test_relief_is_a_tenth_of_a_millimetre_and_grows_with_age(age: float, low: float, high: float) -> None:
     for seed in range(6):
         height = heights(seed, Person(tone=20.0, male=1.0, age=age))[skin()]
-        assert low < np.sqrt(np.mean(height**2)) < high  # .053 to .071 and .130 to .162 mm seen
-        assert np.abs(height).max() < 1.5  # the deepest fold, .91 mm seen
+        assert low < np.sqrt(np.mean(height**2)) < high  # 0.053 to 0.071 and 0.130 to 0.162 mm seen
+        assert np.abs(height).max() < 1.5  # the deepest fold, 0.91 mm seen
 
 
 def test_eyes_and_teeth_keep_their_place() -> None:
@@ -78,8 +78,8 @@ def test_relief_is_independent_of_the_albedo() -> None:
         look = skin_appearance(weights(), np.random.default_rng(seed), person)
         light = luminance(look.albedo)[cheek]
         found.append(np.corrcoef(heights(seed, person)[cheek], light)[0, 1])
-    # Different octaves are nearly orthogonal even over one cheek: .021 at most for one person seen, and .004
-    # for the mean of 30, whose standard deviation is .002.
+    # Different octaves are nearly orthogonal even over one cheek: 0.021 at most for one person seen, and
+    # 0.004 for the mean of 30, whose standard deviation is 0.002.
     assert float(np.abs(found).max()) < 0.08
     assert abs(float(np.mean(found))) < 0.015
 
@@ -95,7 +95,7 @@ def test_hair_rises_over_the_skin() -> None:
         assert height[brow].mean() > 0.1
         if inside.any():
             raised.append(height[inside].mean() / (hair.length / MILLIMETRE))
-    np.testing.assert_allclose(raised, 0.9, atol=0.25)  # cover of .88 to .99 times the length, lumpy
+    np.testing.assert_allclose(raised, 0.9, atol=0.25)  # cover of 0.88 to 0.99 times the length, lumpy
 
 
 def test_one_generator_one_relief() -> None:

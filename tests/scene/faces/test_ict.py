@@ -39,7 +39,7 @@ def test_hundred_heads_are_sane(model: FaceModel) -> None:
     assert heads.finite.all()
     # 14.6 % of the neutral face's vertices look away (nostrils, lips' inside); 13.3 to 16.2 % were seen.
     assert np.abs(heads.away - away_share(model, model.normals)).max() < 0.04
-    assert heads.inverted.max() < 0.01  # .2 % seen, at the lids
+    assert heads.inverted.max() < 0.01  # 0.2 % seen, at the lids
     assert heads.eye_distance.min() > 0.50  # 54 to 69 mm seen
     assert heads.eye_distance.max() < 0.74
     assert heads.iris_off.max() < 0.05  # 2.7 mm seen: the gaze

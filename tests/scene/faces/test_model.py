@@ -30,7 +30,7 @@ def test_hundred_heads_are_sane(model: FaceModel) -> None:
     assert heads.finite.all()
     # 5.3 % of the neutral face looks away from the camera (jaw, lips' inside); up to 10.1 % were seen.
     assert heads.away.max() < away_share(model, model.normals) + 0.08
-    # Lids that roll over: at most .26 % were seen, an inverted face would be 100 %.
+    # Lids that roll over: at most 0.26 % were seen, an inverted face would be 100 %.
     assert heads.inverted.max() < 0.01
     # Adults' pupils are 54 to 74 mm apart (Dodgson 2004); measured 54 to 75, with a margin for other seeds.
     assert heads.eye_distance.min() > 0.48
@@ -72,7 +72,7 @@ def test_eyes_land_on_their_pixels() -> None:
     face = sample_face(3, SceneSpec("x", "anny", head=head))
     camera = face.pose.camera(CameraSpec())
     seen = [project_points(face.landmarks[f"eye_image_{side}"], camera) for side in ("left", "right")]
-    np.testing.assert_allclose(seen, [[45.0, 48.0], [83.0, 48.0]], atol=0.01)  # place() stops at .001 pixel
+    np.testing.assert_allclose(seen, [[45.0, 48.0], [83.0, 48.0]], atol=0.01)  # place() stops at 0.001 pixel
     mouth = (face.landmarks["mouth_image_left"] + face.landmarks["mouth_image_right"]) / 2
     assert 48.0 < project_points(mouth, camera)[1] < project_points(face.landmarks["chin"], camera)[1] < 140.0
 

@@ -12,7 +12,7 @@ GRID = np.stack(np.meshgrid(*[np.linspace(0.0, 2.0, 24)] * 3), axis=-1).reshape(
 
 def test_fields_have_unit_variance_and_no_mean() -> None:
     fields = NoiseBank(GRID).draw(9.0, 8, np.random.default_rng(1))
-    # 18 waves along each edge make some 6,000 cells, so that .013 is a standard deviation; .020 seen.
+    # 18 waves along each edge make some 6,000 cells, so that 0.013 is a standard deviation; 0.020 seen.
     assert np.abs(fields.mean(axis=0)).max() < 0.06
     np.testing.assert_allclose(fields.std(axis=0), 1.0, atol=0.04)
 
@@ -39,7 +39,7 @@ def test_waves_lie_in_the_octave(frequency: float) -> None:
         power += (np.abs(np.fft.rfft(windowed, axis=0)) ** 2).sum(axis=1)
     cycles = np.arange(len(power)) / length
     upper = frequency * 2**0.5
-    # Linear interpolation between grid points leaks .03 % (seen) into shorter waves.
+    # Linear interpolation between grid points leaks 0.03 % (seen) into shorter waves.
     assert power[cycles > upper + 0.3].sum() < 1e-3 * power.sum()
     assert power[cycles > 0.5 * frequency].sum() > 0.4 * power.sum()
 

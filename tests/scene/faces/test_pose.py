@@ -26,7 +26,7 @@ def seen(pose: Pose) -> np.ndarray:
 @pytest.mark.parametrize("pitch", [0.0, -30.0, 20.0])
 def test_eyes_are_in_their_canonical_places(pitch: float, distance: float) -> None:
     pixels = seen(Pose(pitch=pitch, distance=distance))
-    # ``place_head`` stops within .001 pixel.
+    # ``place_head`` stops within 0.001 pixel.
     np.testing.assert_allclose(pixels[:2], [EYE_IMAGE_LEFT, EYE_IMAGE_RIGHT], atol=1.5e-3)
 
 
@@ -75,7 +75,7 @@ def test_near_cameras_enlarge_the_nose_and_hide_the_crown() -> None:
 
 
 def test_distances_follow_the_lens() -> None:
-    # The view's 2 units fill .4 of 36 mm: similar triangles.
+    # The view's 2 units fill 0.4 of 36 mm: similar triangles.
     assert camera_distance(36.0) == pytest.approx(5.0)
     assert camera_distance(200.0) / camera_distance(26.0) == pytest.approx(200 / 26)
     rng = np.random.default_rng(0)

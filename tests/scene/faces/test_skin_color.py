@@ -22,7 +22,7 @@ def test_spectra_get_the_colour_that_colour_science_gives_them() -> None:
                 colour.SpectralDistribution(spectrum, WAVELENGTHS), illuminant=colour.SDS_ILLUMINANTS["D65"]
             )
         expected = np.linalg.solve(RGB_TO_XYZ, xyz / 100.0)
-        # Its white is D65's chromaticity, ours the sum over the same steps: .0007 seen.
+        # Its white is D65's chromaticity, ours the sum over the same steps: 0.0007 seen.
         np.testing.assert_allclose(skin_rgb(spectrum, None), expected, atol=2e-3)
 
 

@@ -14,7 +14,7 @@ def test_look_up_is_the_spectral_colour() -> None:
     saturation = rng.uniform(0.45, 0.9, 3000)
     found = skin_table(0.0083).look_up(melanin, blood, saturation)
     exact = skin_rgb(skin_reflectance(melanin, blood, saturation, 0.0083))
-    # Linear interpolation across curved cells: .0025 at worst and .0005 on average seen.
+    # Linear interpolation across curved cells: 0.0025 at worst and 0.0005 on average seen.
     assert np.abs(found - exact).max() < 0.004
     assert np.abs(found - exact).mean() < 0.001
 
@@ -29,7 +29,7 @@ def test_values_off_the_table_take_its_end() -> None:
 def test_melanin_is_found_for_a_tone(angle: float) -> None:
     melanin = melanin_for(angle, 0.006, 0.7, 0.008)
     reached = float(typology_angle(skin_rgb(skin_reflectance(melanin, 0.006, 0.7, 0.008))))
-    assert reached == pytest.approx(angle, abs=0.1)  # .02 seen: linear in log melanin between 60 nodes
+    assert reached == pytest.approx(angle, abs=0.1)  # 0.02 seen: linear in log melanin between 60 nodes
 
 
 def test_less_blood_allows_lighter_skin() -> None:

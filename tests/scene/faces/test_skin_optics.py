@@ -42,16 +42,16 @@ def wyman_rgb(reflectance: Array) -> Array:
 def test_published_formula_gives_known_colours(
     melanin: float, blood: float, expected: tuple[float, float, float], angle: float | None
 ) -> None:
-    """Values worked out elsewhere from the same formulas, with the observer above; rounded to .001."""
+    """Values worked out elsewhere from the same formulas, with the observer above; rounded to 0.001."""
     rgb = wyman_rgb(skin_reflectance(melanin, blood, 0.75, 0.006, "absorbing"))
-    # Their rounding of .0005, and .0007 seen beyond it from the table's interpolation there.
+    # Their rounding of 0.0005, and 0.0007 seen beyond it from the table's interpolation there.
     np.testing.assert_allclose(rgb, expected, atol=1.2e-3)
     if angle is not None:
         assert float(typology_angle(rgb)) == pytest.approx(angle, abs=1.0)  # rounded to a degree
 
 
 def test_daylight_differs_from_equal_energy_by_little() -> None:
-    """D65 is bluer than the equal-energy white above: .024 less red at most on these skins (seen .0238)."""
+    """D65 is bluer than the equal-energy white above: 0.024 less red at most on these skins (seen 0.0238)."""
     spectra = skin_reflectance(np.array([0.013, 0.063, 0.16, 0.43]), 0.02, 0.75, 0.006, "absorbing")
     daylight = skin_rgb(spectra, floor=None)
     equal = np.stack([wyman_rgb(spectrum) for spectrum in spectra])

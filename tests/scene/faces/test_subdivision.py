@@ -20,7 +20,7 @@ def test_a_cube_by_hand() -> None:
     assert quads.shape == (24, 4)
     # Corner: (F + 2 R + (3 - 3) P) / 3 with F = 1/3 and R = 2/3 of the corner: 5/9.
     np.testing.assert_allclose(fine[:8], 5 / 9 * CUBE, atol=1e-15)
-    # Edge: mean of two corners and two face points: .75 of the midpoint's distance in each coordinate.
+    # Edge: mean of two corners and two face points: 0.75 of the midpoint's distance in each coordinate.
     np.testing.assert_allclose(
         np.sort(np.abs(fine[8:20]), axis=1), np.tile([0, 0.75, 0.75], (12, 1)), atol=1e-15
     )

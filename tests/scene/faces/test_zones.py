@@ -50,7 +50,7 @@ def test_zones_are_the_same_on_both_sides() -> None:
     assert len(left) > 0.5 * len(position)
     for name in ("cheek", "socket", "under_eye", "crown"):  # those that no painted mask of the model enters
         field = getattr(zones, name)
-        # Twins of the mesh agree to a thousandth of a decimetre, over edges of .055 and wider.
+        # Twins of the mesh agree to a thousandth of a decimetre, over edges of 0.055 and wider.
         np.testing.assert_allclose(field[left], field[right], atol=0.03)
 
 

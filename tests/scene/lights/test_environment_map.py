@@ -49,7 +49,8 @@ def test_a_sun_becomes_a_directional_light(column: int) -> None:
     total = np.einsum("hw,hwc->c", angles, picture)
     np.testing.assert_allclose(np.einsum("hw,hwc->c", angles, rest) + power, total, rtol=1e-12)
     assert rest.min() > 0
-    # The threshold: 20 times the sky's mean, of which its brightest hundredth, .4 % of the mean, is left out.
+    # The threshold: 20 times the sky's mean, of which its brightest hundredth, 0.4 % of the mean, is left
+    # out.
     mean = np.average(sky() @ LUMINANCE, weights=angles)
     assert (rest @ LUMINANCE).max() == pytest.approx(20 * mean, rel=0.01)
 

@@ -30,7 +30,7 @@ def test_lookup_is_the_convention_of_the_projection() -> None:
     image = smooth(equirect_directions(*MAP_SIZE))
     random = np.random.default_rng(0).normal(size=(500, 3))
     random /= np.linalg.norm(random, axis=1, keepdims=True)
-    # Bilinear error: step^2 / 8 times the largest second derivative, .05^2 / 8 * 1.5^2 e^1.5 = 3.2e-3.
+    # Bilinear error: step^2 / 8 times the largest second derivative, 0.05^2 / 8 * 1.5^2 e^1.5 = 3.2e-3.
     np.testing.assert_allclose(sample_map(image, random), smooth(random), atol=3.2e-3)
     # Texel centres give the texels; acos and atan2 lose half the digits near the poles.
     np.testing.assert_allclose(sample_map(image, equirect_directions(*MAP_SIZE)), image, atol=1e-6)

@@ -155,6 +155,6 @@ def test_the_path_tracer_sees_the_same_light() -> None:
         first, second = ((image - prediction)[inside] for image in images)
         return float(np.sqrt(max((first * second).mean(), 0.0)) / expected[inside].mean())
 
-    # Order 4 of the panel, .4 % seen; noise .029^2 / sqrt(1900 values) may add .5 % at 1 sigma.
+    # Order 4 of the panel, 0.4 % seen; noise 0.029^2 / sqrt(1900 values) may add 0.5 % at 1 sigma.
     assert bias(expected) < 0.012
-    assert bias(expected[:, ::-1]) > 0.15  # .23 seen for a mirrored light
+    assert bias(expected[:, ::-1]) > 0.15  # 0.23 seen for a mirrored light

@@ -132,7 +132,7 @@ def test_a_light_that_exists_stays_and_others_move_little() -> None:
         assert found.environment is not None
         assert found.environment.min() >= 0
         shading = [each.evaluate(face_normals()) for each in (found.shading_label(), wanted)]
-        assert np.abs(shading[0] - shading[1]).max() < 0.02 * shading[1].max()  # .01 seen
+        assert np.abs(shading[0] - shading[1]).max() < 0.02 * shading[1].max()  # 0.01 seen
 
 
 def test_the_package_has_a_mixture_of_many_photographs() -> None:

@@ -46,7 +46,7 @@ def test_irradiance_is_that_of_mitsubas_sampler(elevation: float, turbidity: flo
     assert light.environment is not None
     baked = np.einsum("hw,hwc->c", cosine, light.environment)
     baked += (sun @ normal) * light.directional[0][1]
-    # Texels of 2.8 degrees at the bright horizon, and the noise of 2^20 samples: .16 % seen, times 3.
+    # Texels of 2.8 degrees at the bright horizon, and the noise of 2^20 samples: 0.16 % seen, times 3.
     np.testing.assert_allclose(baked, sampled_irradiance(sun, turbidity, normal, 1 << 20), rtol=0.005)
 
 

@@ -58,7 +58,7 @@ def test_exposed_for_the_front() -> None:
     directions, weights = fine_sphere()
     cosine = np.clip(directions[:, 2], 0, None) * weights / np.pi
     shadings = np.array([cosine @ light.radiance(directions) @ LUMINANCE for light in LIGHTS])
-    # Orders above 8 held .22 % of it in the worst of 150 lights; times 2.
+    # Orders above 8 held 0.22 % of it in the worst of 150 lights; times 2.
     low, high = FRONTAL_SHADING
     assert shadings.min() > low * 0.995
     assert shadings.max() < high * 1.005
