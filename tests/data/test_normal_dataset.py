@@ -251,7 +251,7 @@ def test_bad_fine_tunings_are_told(surfaces: Path, spheres: Path, tmp_path: Path
     (older / "normal_labels.json").write_text(json.dumps(index))
     with pytest.raises(InputError, match=r"format 'sfsnet_dr\.surfaces\.0' found"):
         load_training_subjects(older, RECIPE.normal_labels)
-    (tmp_path / "r.toml").write_text("steps = 1\n[surfaces]\nfoldz = 3\n")
+    (tmp_path / "r.toml").write_text("steps = 1\n[normal_labels]\nfoldz = 3\n")
     with pytest.raises(InputError, match="unknown key 'foldz'"):
         read_recipe(tmp_path / "r.toml")
 
