@@ -6,7 +6,6 @@ import hashlib
 import os
 import platform
 import re
-import subprocess
 from collections.abc import Iterable
 from functools import cache
 from importlib import metadata
@@ -26,8 +25,6 @@ PACKAGES: Final = (
     "colour-science",
     "safetensors",
 )
-
-_PACKAGE_DIR: Final = Path(__file__).resolve().parent.parent
 
 
 def versions(packages: Iterable[str] = PACKAGES) -> dict[str, str]:
@@ -64,24 +61,6 @@ def sha256(data: Path | bytes) -> str:
         return hashlib.sha256(data).hexdigest()
     with data.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def git_revision() -> str | None:
-    """Commit of the checkout this runs from, ``-dirty`` added if files differ; None outside a checkout."""
-    if _git("ls-files", "--error-unmatch", "__init__.py") is None:
-        return None  # installed somewhere inside another project's repository
-    commit, changes = _git("rev-parse", "HEAD"), _git("status", "--porcelain", "--untracked-files=no")
-    return f"{commit}-dirty" if changes else commit
-
-
-def _git(*arguments: str) -> str | None:
-    try:
-        done = subprocess.run(
-            ["git", *arguments], cwd=_PACKAGE_DIR, capture_output=True, text=True, timeout=30, check=True
-        )
-    except (OSError, subprocess.SubprocessError):
-        return None
-    return done.stdout.strip()
 
 
 def _cpu_model() -> str:

@@ -6,8 +6,6 @@ import json
 import platform
 from pathlib import Path
 
-import pytest
-
 from sfsnet_dr.core import provenance
 
 
@@ -34,31 +32,3 @@ def test_sha256_of_abc(tmp_path: Path) -> None:
     path.write_bytes(b"abc")
     assert provenance.sha256(b"abc") == provenance.sha256(path) == expected
     assert provenance.sha256(b"") == hashlib.sha256().hexdigest()
-
-
-def test_no_revision_outside_a_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(provenance, "_PACKAGE_DIR", tmp_path)
-    assert provenance.git_revision() is None
-
-
-def test_revision_of_a_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(provenance, "_PACKAGE_DIR", tmp_path)
-    if provenance._git("init") is None:
-        pytest.skip("no git")
-    commit(tmp_path / "other")
-    file = tmp_path / "__init__.py"
-    file.touch()
-    assert provenance.git_revision() is None  # installed inside somebody else's repository
-    commit(file)
-    clean = provenance.git_revision()
-    assert clean is not None
-    assert len(clean) == 40
-    file.write_text("changed")
-    assert provenance.git_revision() == f"{clean}-dirty"
-
-
-def commit(file: Path) -> None:
-    file.touch()
-    provenance._git("add", file.name)
-    who = ["-c", "user.name=a", "-c", "user.email=a@example.org"]
-    provenance._git(*who, "commit", "-m", "one file", "--no-verify")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from helpers.surfaces import plane_with_shade
+from helpers.ztest import z_test
 
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.metrics.equivalence import z_test
 from sfsnet_dr.render.aovs import TransportMaps, render_aovs
 from sfsnet_dr.scene.faces.face import sample_face
 from sfsnet_dr.scene.faces.pose import project_points

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from helpers.ztest import z_test
 
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.metrics.equivalence import z_test
 from sfsnet_dr.render.aovs import render_aovs
 from sfsnet_dr.render.path_tracer import path_trace
 from sfsnet_dr.render.shading_numpy import f_render

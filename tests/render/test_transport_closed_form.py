@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import torch
 from helpers.bowls import DIRECTIONS, bowl_and_ball, turned
+from helpers.ztest import z_test
 from numpy.typing import NDArray
 
 from sfsnet_dr.data.transforms.mirror import mirror_transport
-from sfsnet_dr.metrics.equivalence import z_test
 from sfsnet_dr.metrics.noise_free import bias_squared
 from sfsnet_dr.render.aovs import TransportMaps, TransportOptions, render_aovs
 from sfsnet_dr.render.path_tracer import path_trace

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 import pytest
+from helpers.ztest import ZTest, z_test
 from scipy.stats import norm
 
 from sfsnet_dr.core.errors import InputError
-from sfsnet_dr.metrics.equivalence import ZTest, z_test
 
 Array = npt.NDArray[np.float64]
 SHAPE = (48, 48, 3)
