@@ -23,7 +23,7 @@ mean(e^2) is the cause's *share* of the squared error; it is negative where a ca
 *size* of a cause is sqrt(mean(d_k^2)) over the RMS of T: how much the image changes when it is mended alone.
 Both use products of the two independent families of ``study.levels``, which keeps noise out.
 
-Left out: the truth is RGB; what a spectral renderer would change is measured apart (``study.rivals``).
+Left out: the truth is RGB; what a spectral renderer would change is measured apart (``study.compared``).
 """
 
 from __future__ import annotations

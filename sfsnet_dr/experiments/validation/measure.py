@@ -65,7 +65,7 @@ class Row:
     Attributes:
         name: such as ``order 2``, for people.
         key: such as ``order2``, for records.
-        group: rung's kind, or ``path`` for a path tracer that leaves something out.
+        group: model's kind, or ``path`` for a path tracer that leaves something out.
         errors: distance from the truth.
         parts: the error split by cause.
         image: (H, W, 3) linear.
@@ -147,7 +147,7 @@ def measure_models(
     seed: int = 0,
     on_light: Callable[[str], None] = lambda name: None,
 ) -> SceneResults:
-    """Measure every rung of the ladder.
+    """Measure every model of the measured.
 
     Args:
         subject: what is seen.
@@ -163,8 +163,8 @@ def measure_models(
         raise InputError("lights: none found, at least one expected")
     for light in lights:
         require_light(light)
-    rungs = shading_models(subject.spec.has_gloss)
-    known = capture_inputs(subject, seed, rungs)
+    models = shading_models(subject.spec.has_gloss)
+    known = capture_inputs(subject, seed, models)
     if not known.mask.any():
         raise InputError(
             f"{subject.spec.name}: no surface in view: no pixel is covered whole by what is counted"
@@ -175,7 +175,7 @@ def measure_models(
     for light in lights:
         levels = trace_light_paths(scenes, subject, light, samples, seed)
         scene = scenes.show(subject.mesh, subject.camera, light, gloss=subject.spec.has_gloss)
-        results.append(_measure(light, levels, known, fine, rungs, partial(_path_times, scene, seed)))
+        results.append(_measure(light, levels, known, fine, models, partial(_path_times, scene, seed)))
         on_light(light.name)
     return SceneResults(subject, known, tuple(results))
 
@@ -198,17 +198,17 @@ def _measure(
     levels: LightPathImages,
     known: ModelInputs,
     fine: FineMaps,
-    rungs: tuple[ShadingModel, ...],
+    models: tuple[ShadingModel, ...],
     times: Callable[[float], tuple[PathTime, ...]],
 ) -> LightResult:
     complete = _twice(fine.complete(light))
     rows = []
-    for rung in rungs:
-        image = known.image(rung, light)
-        steps = _steps(rung, _twice(image), light, levels, fine, complete)
-        parts = decompose_error(steps, known.mask, known.noise(rung, light))
+    for model in models:
+        image = known.image(model, light)
+        steps = _steps(model, _twice(image), light, levels, fine, complete)
+        parts = decompose_error(steps, known.mask, known.noise(model, light))
         errors = measure_errors(_twice(image), levels.truth, known.mask)
-        rows.append(Row(rung.name, rung.key, rung.kind, errors, parts, image))
+        rows.append(Row(model.name, model.key, model.kind, errors, parts, image))
     rows += [_limit(name, key, steps, levels, known.mask) for name, key, steps in _limits(levels)]
     variance = _mean(levels.variance, known.mask)
     power = _mean(levels.truth.first * levels.truth.second, known.mask)
@@ -224,23 +224,23 @@ def _measure(
 
 
 def _steps(
-    rung: ShadingModel,
+    model: ShadingModel,
     image: IndependentPair,
     light: Light,
     levels: LightPathImages,
     fine: FineMaps,
     complete: IndependentPair,
 ) -> list[ErrorStep]:
-    """From a rung's image to the truth; see ``study.causes``."""
+    """From a model's image to the truth; see ``study.causes``."""
     further = _after_direct(levels)
-    if rung.kind == "visibility":
+    if model.kind == "visibility":
         return [ErrorStep("truncation", image, levels.direct), *further]
-    if rung.kind == "bounce":
+    if model.kind == "bounce":
         return [ErrorStep("truncation", image, levels.bounce), *_after_bounce(levels)]
-    if rung.kind == "gloss" and levels.glossy_bounce is not None:
+    if model.kind == "gloss" and levels.glossy_bounce is not None:
         rest = ErrorStep("interreflection", levels.glossy_bounce, levels.truth)
         return [ErrorStep("truncation", image, levels.glossy_bounce), rest]
-    truncated = _twice(fine.truncated(light, rung.order))
+    truncated = _twice(fine.truncated(light, model.order))
     return [
         ErrorStep("filter", image, truncated),
         ErrorStep("truncation", truncated, complete),

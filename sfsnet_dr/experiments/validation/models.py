@@ -1,4 +1,4 @@
-"""The ladder of shading models: order 0 to 4, with visibility, with one bounce, with gloss.
+"""The shading models: order 0 to 4, with visibility, with one bounce, with gloss.
 
 A model knows a subject by what is captured of it once: mean normals and albedo, or its light transport. Under
 any light an image is then one Dr.Jit kernel, the one that is timed. Nothing is clamped.
@@ -73,7 +73,7 @@ class ShadingModel:
 
 
 def shading_models(gloss: bool) -> tuple[ShadingModel, ...]:
-    """All rungs, from the cheapest; the last one only for subjects with gloss."""
+    """All models, from the cheapest; the last one only for subjects with gloss."""
     analytic = tuple(ShadingModel(f"order {order}", "analytic", order) for order in range(5))
     shadowed = tuple(ShadingModel(f"order {order} + visibility", "visibility", order) for order in (2, 4))
     bounced = tuple(ShadingModel(f"order {order} + bounce", "bounce", order) for order in (2, 4))
@@ -102,48 +102,50 @@ class ModelInputs:
     seconds: dict[Kind, float]
     _planes: dict[str, Any] = field(default_factory=dict)
 
-    def inputs(self, rung: ShadingModel) -> tuple[Any, ...]:
-        """Dr.Jit arrays that the rung's kernel reads."""
-        if rung.kind not in self._planes:
+    def inputs(self, model: ShadingModel) -> tuple[Any, ...]:
+        """Dr.Jit arrays that the model's kernel reads."""
+        if model.kind not in self._planes:
             made = (
-                _surface_planes(self.maps) if rung.kind == "analytic" else _answers(self.transport[rung.kind])
+                _surface_planes(self.maps)
+                if model.kind == "analytic"
+                else _answers(self.transport[model.kind])
             )
-            self._planes[rung.kind] = made
-        planes: tuple[Any, ...] = self._planes[rung.kind]
-        if rung.kind == "analytic":
+            self._planes[model.kind] = made
+        planes: tuple[Any, ...] = self._planes[model.kind]
+        if model.kind == "analytic":
             return planes
-        return (planes[0][: (rung.order + 1) ** 2], planes[1])
+        return (planes[0][: (model.order + 1) ** 2], planes[1])
 
-    def image(self, rung: ShadingModel, light: Light) -> Image:
-        """(H, W, 3) of a rung under a light."""
-        values = shading_kernel(rung)(
-            *self.inputs(rung), *light_weights(rung, light.coefficients(rung.order))
+    def image(self, model: ShadingModel, light: Light) -> Image:
+        """(H, W, 3) of a model under a light."""
+        values = shading_kernel(model)(
+            *self.inputs(model), *light_weights(model, light.coefficients(model.order))
         )
         dr.eval(values)
         return np.asarray(values, dtype=np.float64).T.reshape(self.maps.normal.shape)
 
-    def noise(self, rung: ShadingModel, light: Light) -> float:
-        """Mean squared noise of a rung's image under a light, from its two captures."""
-        if rung.kind == "analytic":
+    def noise(self, model: ShadingModel, light: Light) -> float:
+        """Mean squared noise of a model's image under a light, from its two captures."""
+        if model.kind == "analytic":
             return 0.0
-        coefficients = light.coefficients(rung.order).values
+        coefficients = light.coefficients(model.order).values
         weights = ResponseWeights(coefficients, np.zeros((0, 3)))
         first, second = (
             relight_responses(seen.transport[: len(coefficients)], seen.gloss, seen.directional, weights)
-            for seen in self.transport[rung.kind]
+            for seen in self.transport[model.kind]
         )
         difference = ((first - second) / 2) ** 2 * self.mask[..., None]
         return float(difference.sum() / (3 * self.mask.sum()))
 
 
-def capture_inputs(subject: Subject, seed: int, rungs: tuple[ShadingModel, ...]) -> ModelInputs:
-    """Capture all that rungs need; compiles with few rays first, so that the times are warm ones."""
+def capture_inputs(subject: Subject, seed: int, models: tuple[ShadingModel, ...]) -> ModelInputs:
+    """Capture all that models need; compiles with few rays first, so that the times are warm ones."""
     sampling = subject.spec.sampling
     plain = SurfaceScene(subject.mesh, subject.camera)
     maps, took = _timed(plain, MAP_RAYS, seed, TransportOptions(order=0))
     transport: dict[Kind, tuple[TransportMaps, TransportMaps]] = {}
     seconds: dict[Kind, float] = {"analytic": took}
-    for kind in dict.fromkeys(rung.kind for rung in rungs if rung.kind != "analytic"):
+    for kind in dict.fromkeys(model.kind for model in models if model.kind != "analytic"):
         scene = SurfaceScene(subject.mesh, subject.camera, gloss=True) if kind == "gloss" else plain
         options = TransportOptions(
             order=_ORDER, bounces=int(kind != "visibility"), paths=sampling.paths_per_hit
@@ -155,14 +157,14 @@ def capture_inputs(subject: Subject, seed: int, rungs: tuple[ShadingModel, ...])
     return ModelInputs(maps, np.asarray(whole, dtype=np.float64), transport, seconds)
 
 
-def shading_kernel(rung: ShadingModel) -> Callable[..., mi.Color3f]:
-    """The function that makes a rung's image of its inputs and weights; not evaluated."""
-    return _shade if rung.kind == "analytic" else weigh_responses
+def shading_kernel(model: ShadingModel) -> Callable[..., mi.Color3f]:
+    """The function that makes a model's image of its inputs and weights; not evaluated."""
+    return _shade if model.kind == "analytic" else weigh_responses
 
 
-def light_weights(rung: ShadingModel, radiance: Radiance) -> tuple[Any, ...]:
-    """Coefficients of the rung's order as the kernel takes them: they change without a new compilation."""
-    if rung.kind == "analytic":
+def light_weights(model: ShadingModel, radiance: Radiance) -> tuple[Any, ...]:
+    """Coefficients of the model's order as the kernel takes them: they change without a new compilation."""
+    if model.kind == "analytic":
         return ([dr.opaque(mi.Float, float(x)) for x in radiance.to_shading().flat()],)
     return (drjit_weights(radiance.values),)
 

@@ -122,16 +122,16 @@ def errors_table(study: Study) -> Table:
 def times_table(study: Study) -> Table:
     """Time of an image by where it goes."""
     rows = []
-    for rung in study.rungs:
-        times, cold = study.times[rung.key], study.cold.get(rung.key)
+    for model in study.models:
+        times, cold = study.times[model.key], study.cold.get(model.key)
         warm = times.warm
         parts = [warm.total, times.frozen, warm.tracing, warm.codegen, warm.execution]
         rows.append(
             [
-                rung.name,
+                model.name,
                 format_duration(cold.total) if cold else "\u2013",
                 *(format_duration(seconds) for seconds in parts),
-                format_duration(study.capture_seconds(rung)),
+                format_duration(study.capture_seconds(model)),
                 f"{times.ns_per_pixel:.2f}",
                 f"{100 * times.copy_share:.0f} %",
             ]
@@ -158,19 +158,19 @@ def times_table(study: Study) -> Table:
 def renderers_table(study: Study) -> Table:
     """Every registered renderer: what it accounts for, its distance from the truth, or why there is none."""
     tried: dict[str, dict[str, None]] = {}
-    for rival in study.renderers:
-        tried.setdefault(rival.renderer, {})[rival.light] = None
+    for other in study.renderers:
+        tried.setdefault(other.renderer, {})[other.light] = None
     fewest = min(tried.values(), key=len)
     lights = [light for light in fewest if all(light in each for each in tried.values())]
     rows = []
-    for name in dict.fromkeys(rival.renderer for rival in study.renderers):
-        mine = {rival.light: rival for rival in study.renderers if rival.renderer == name}
+    for name in dict.fromkeys(other.renderer for other in study.renderers):
+        mine = {other.light: other for other in study.renderers if other.renderer == name}
         one = next(iter(mine.values()))
-        cells = [_rival_cell(mine[light]) for light in lights]
+        cells = [_error_cell(mine[light]) for light in lights]
         noise = (
             format_percent(max(r.noise for r in mine.values())) if any(r.noise for r in mine.values()) else ""
         )
-        done = [rival.seconds for rival in mine.values() if rival.errors]
+        done = [other.seconds for other in mine.values() if other.errors]
         rows.append(
             [
                 name,
@@ -201,7 +201,7 @@ def other_renderers_table(study: Study) -> Table | None:
         [
             result.light.name,
             format_percent(result.row("order2").errors.rel.value),
-            *(_rival_cell(found[name, result.light.name]) for name in names),
+            *(_error_cell(found[name, result.light.name]) for name in names),
         ]
         for result in study.scene.results
     ]
@@ -236,8 +236,8 @@ def _crossover(study: Study, key: str) -> str:
     return "< 1" if middle < 1 else f"{middle:.0f}" if middle < 1000 else f"{float(f'{middle:.2g}'):.0f}"
 
 
-def _rival_cell(rival: RendererResult) -> str:
-    return "\u2013" if rival.errors is None else format_percent(rival.errors.rel.value)
+def _error_cell(other: RendererResult) -> str:
+    return "\u2013" if other.errors is None else format_percent(other.errors.rel.value)
 
 
 def _accounts(can: Capabilities | None) -> str:
@@ -295,7 +295,7 @@ def draw_pareto(study: Study) -> bytes:
     """The plot of error against time: soft and hard light apart."""
     panels = {
         f"{title} ({len(results)} light{'s' * (len(results) > 1)})": [
-            *(pooled_error(study, rung.key, results) for rung in study.rungs),
+            *(pooled_error(study, model.key, results) for model in study.models),
             *path_candidates(results),
         ]
         for title, results in _by_hardness(study).items()
@@ -305,16 +305,16 @@ def draw_pareto(study: Study) -> bytes:
 
 
 def error_maps(study: Study) -> dict[str, bytes]:
-    """Signed maps of each rung's error under each light, by ``LIGHT-RUNG``."""
+    """Signed maps of each model's error under each light, by ``LIGHT-RUNG``."""
     return {
-        f"{result.light.name}-{rung.key}": error_map(
-            _difference(study, result, rung.key),
+        f"{result.light.name}-{model.key}": error_map(
+            _difference(study, result, model.key),
             label="error / RMS of the truth",
             limit=_MAP_LIMIT,
             signed=True,
         )
         for result in study.scene.results
-        for rung in study.rungs
+        for model in study.models
     }
 
 
@@ -385,7 +385,7 @@ def _pareto_blocks(study: Study) -> list[Block]:
 
 
 def _captures(study: Study) -> str:
-    seconds = {rung.kind: study.capture_seconds(rung) for rung in study.rungs if rung.kind != "analytic"}
+    seconds = {model.kind: study.capture_seconds(model) for model in study.models if model.kind != "analytic"}
     return ", ".join(f"{format_duration(value)} for {kind}" for kind, value in seconds.items())
 
 
@@ -397,10 +397,10 @@ def _pictures(study: Study) -> list[Block]:
 
 
 def _gallery(study: Study, result: LightResult) -> Gallery:
-    mask, last = study.scene.inputs.mask, study.rungs[-1]
+    mask, last = study.scene.inputs.mask, study.models[-1]
     shown = [("path traced", result.truth.mean)]
     shown += [
-        (rung.name, result.row(rung.key).image) for rung in study.rungs if rung.key in (_PAPER, last.key)
+        (model.name, result.row(model.key).image) for model in study.models if model.key in (_PAPER, last.key)
     ]
     pictures = [(png_bytes(on_white(show_linear(image), mask)), label) for label, image in shown]
     pictures += [

@@ -61,9 +61,9 @@ def to_csv(study: Study) -> str:
         for path in result.paths:
             cells = [_cell(path.noise), *[""] * 6, _cell(path.seconds), "", *nothing]
             writer.writerow([scene, result.light.name, f"path_{path.samples}spp", *cells, "noise"])
-    for rival in study.renderers:
-        cells = [*map(_cell, [*_numbers(rival.errors), rival.seconds]), "", *nothing]
-        writer.writerow([scene, rival.light, rival.renderer, *cells, rival.failure])
+    for other in study.renderers:
+        cells = [*map(_cell, [*_numbers(other.errors), other.seconds]), "", *nothing]
+        writer.writerow([scene, other.light, other.renderer, *cells, other.failure])
     return text.getvalue()
 
 
@@ -73,8 +73,8 @@ def _records(study: Study, tolerance: float, add: _Add) -> Iterator[Record]:
     if best is not None:
         yield add(f"validate.cheapest.{scene}.rel_rmse", best.error, "1")
         yield add(f"validate.cheapest.{scene}.seconds", best.seconds, "s")
-    for rung in study.rungs:
-        yield from _of_rung(study, rung, f"validate.{rung.key}.{scene}", add)
+    for model in study.models:
+        yield from _of_model(study, model, f"validate.{model.key}.{scene}", add)
     for result in study.scene.results:
         for row in result.rows:
             yield from _of_row(result, row, f"validate.{row.key}.{scene}.{result.light.name}", add)
@@ -85,8 +85,10 @@ def _records(study: Study, tolerance: float, add: _Add) -> Iterator[Record]:
         spectral = spectral_size(study.renderers, result.light.name)
         if spectral is not None:
             yield add(f"validate.path.{scene}.{result.light.name}.cause.spectral", spectral, "1")
-    for rival in study.renderers:
-        yield from _of_rival(rival, f"validate.{dotted_renderer(rival.renderer)}.{scene}.{rival.light}", add)
+    for other in study.renderers:
+        yield from _of_renderer(
+            other, f"validate.{dotted_renderer(other.renderer)}.{scene}.{other.light}", add
+        )
 
 
 def dotted_renderer(name: str) -> str:
@@ -94,22 +96,22 @@ def dotted_renderer(name: str) -> str:
     return "-".join(dotted_word(part) for part in name.split("-"))
 
 
-def _of_rung(study: Study, rung: ShadingModel, name: str, add: _Add) -> Iterator[Record]:
+def _of_model(study: Study, model: ShadingModel, name: str, add: _Add) -> Iterator[Record]:
     if study.natural:
-        error = pooled_error(study, rung.key, study.natural)
+        error = pooled_error(study, model.key, study.natural)
         yield add(f"{name}.rel_rmse", error.error, "1", error.interval)
-    times = study.times[rung.key]
+    times = study.times[model.key]
     yield add(f"{name}.seconds", times.warm.total, "s")
     yield add(f"{name}.time.frozen", times.frozen, "s")
     yield add(f"{name}.time.tracing", times.warm.tracing, "s")
     yield add(f"{name}.time.codegen", times.warm.codegen, "s")
     yield add(f"{name}.time.execution", times.warm.execution, "s")
-    yield add(f"{name}.time.capture", study.capture_seconds(rung), "s")
+    yield add(f"{name}.time.capture", study.capture_seconds(model), "s")
     yield add(f"{name}.time.ns_per_pixel", times.ns_per_pixel, "ns")
     yield add(f"{name}.share.copy_bandwidth", times.copy_share, "1")
-    if rung.key in study.cold:
-        yield add(f"{name}.time.cold", study.cold[rung.key].total, "s")
-        yield add(f"{name}.time.compile", study.cold[rung.key].backend, "s")
+    if model.key in study.cold:
+        yield add(f"{name}.time.cold", study.cold[model.key].total, "s")
+        yield add(f"{name}.time.compile", study.cold[model.key].backend, "s")
 
 
 def _of_row(result: LightResult, row: Row, name: str, add: _Add) -> Iterator[Record]:
@@ -128,13 +130,13 @@ def _of_row(result: LightResult, row: Row, name: str, add: _Add) -> Iterator[Rec
         yield add(f"{name}.share.{cause}", row.parts[cause].share, "1")
 
 
-def _of_rival(rival: RendererResult, name: str, add: _Add) -> Iterator[Record]:
-    if rival.errors is None:
+def _of_renderer(other: RendererResult, name: str, add: _Add) -> Iterator[Record]:
+    if other.errors is None:
         return
-    rel = rival.errors.rel
+    rel = other.errors.rel
     yield add(f"{name}.rel_rmse", rel.value, "1", (rel.low, rel.high))
-    yield add(f"{name}.noise", rival.noise, "1")
-    yield add(f"{name}.seconds", rival.seconds, "s")
+    yield add(f"{name}.noise", other.noise, "1")
+    yield add(f"{name}.seconds", other.seconds, "s")
 
 
 def _maker(command: str, seed: int) -> _Add:

@@ -65,14 +65,14 @@ def chosen_renderers(names: str) -> tuple[str, ...]:
 
 
 def compare_renderers(
-    ladder: SceneResults,
+    measured: SceneResults,
     lights: Mapping[str, Sequence[LightResult]],
     on_image: Callable[[str], None] = lambda name: None,
 ) -> tuple[RendererResult, ...]:
     """Measure every renderer under its lights.
 
     Args:
-        ladder: the subject and the pixels that count.
+        measured: the subject and the pixels that count.
         lights: by the name of each renderer, the lights with their path-traced images.
         on_image: called with a renderer's name after each light.
     """
@@ -81,27 +81,27 @@ def compare_renderers(
         gave_up = None
         for result in results:
             light = result.light.name
-            rival = replace(gave_up, light=light) if gave_up else _measure(ladder, name, result)
-            found.append(rival)
+            other = replace(gave_up, light=light) if gave_up else _measure(measured, name, result)
+            found.append(other)
             # What is not installed or hung will not do better under the next light.
-            gave_up = rival if rival.failure else None
+            gave_up = other if other.failure else None
             on_image(name)
     return tuple(found)
 
 
-def _measure(ladder: SceneResults, name: str, result: LightResult) -> RendererResult:
-    first = run_sandboxed(name, ladder.subject, result.light, Budget(SAMPLES, _SEEDS[0]))
+def _measure(measured: SceneResults, name: str, result: LightResult) -> RendererResult:
+    first = run_sandboxed(name, measured.subject, result.light, Budget(SAMPLES, _SEEDS[0]))
     noisy = first.capabilities is not None and first.capabilities.noisy
     second = first
     if noisy and first.image is not None:
-        second = run_sandboxed(name, ladder.subject, result.light, Budget(SAMPLES, _SEEDS[1]))
+        second = run_sandboxed(name, measured.subject, result.light, Budget(SAMPLES, _SEEDS[1]))
     failed = next((outcome for outcome in (first, second) if outcome.image is None), None)
     if failed is not None:
         return _failed(failed, result.light.name)
     pair = IndependentPair(
         np.asarray(first.image, dtype=np.float64), np.asarray(second.image, dtype=np.float64)
     )
-    mask, truth = ladder.inputs.mask, result.truth
+    mask, truth = measured.inputs.mask, result.truth
     power = float(((truth.first * truth.second) * mask[..., None]).sum())
     noise = float((((pair.first - pair.second) ** 2) * mask[..., None]).sum() / 2)
     return RendererResult(
@@ -129,7 +129,7 @@ def _why(outcome: Outcome) -> str:
     return failure.detail if failure.kind == "not installed" else str(failure)
 
 
-def spectral_size(rivals: Sequence[RendererResult], light: str) -> float | None:
+def spectral_size(compared: Sequence[RendererResult], light: str) -> float | None:
     """Relative RMS change by spectra in place of RGB under a light; None where it was not measured."""
-    found = (r.plain.value for r in rivals if r.renderer == SPECTRAL and r.light == light and r.plain)
+    found = (r.plain.value for r in compared if r.renderer == SPECTRAL and r.light == light and r.plain)
     return next(found, None)

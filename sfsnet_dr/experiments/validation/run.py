@@ -55,7 +55,7 @@ def validate(request: Request, out: Path | str) -> tuple[list[Record], str]:
     """Measure and write ``records.json``, ``errors.csv``, ``pareto.png``, ``maps/`` and ``index.html``.
 
     Returns:
-        The records, and the sentence that names the cheapest rung within the tolerance.
+        The records, and the sentence that names the cheapest model within the tolerance.
 
     Raises:
         InputError: for an unknown scene, light or renderer, a light of all zeros, a scene with no surface in
@@ -124,16 +124,16 @@ def measure_scene(
     """
     name = subject.spec.name
     with progress_bar(f"{name}: lights", len(lights)) as advance:
-        ladder = measure_models(subject, lights, samples=samples, seed=seed, on_light=lambda _: advance())
+        measured = measure_models(subject, lights, samples=samples, seed=seed, on_light=lambda _: advance())
     gloss = subject.spec.has_gloss
     first = measure_cold_start(subject.camera.size, gloss) if cold else {}
-    study = Study(ladder, {}, first)
-    with progress_bar(f"{name}: times", len(study.rungs)) as advance:
+    study = Study(measured, {}, first)
+    with progress_bar(f"{name}: times", len(study.models)) as advance:
         times = {}
-        for rung in study.rungs:
-            times[rung.key] = time_model(ladder.inputs, rung, lights[0])
+        for model in study.models:
+            times[model.key] = time_model(measured.inputs, model, lights[0])
             advance()
-    return replace(study, times=times, renderers=_rivals(ladder, renderers))
+    return replace(study, times=times, renderers=_compare(measured, renderers))
 
 
 def _subject(request: Request) -> Subject:
@@ -149,12 +149,12 @@ def _subject(request: Request) -> Subject:
     return build_subject(spec, request.seed)
 
 
-def _rivals(ladder: SceneResults, names: Sequence[str]) -> tuple[RendererResult, ...]:
-    few = lights_for_renderers(ladder.results)
-    lights = {name: few if is_built_in(name) else ladder.results for name in names}
+def _compare(measured: SceneResults, names: Sequence[str]) -> tuple[RendererResult, ...]:
+    few = lights_for_renderers(measured.results)
+    lights = {name: few if is_built_in(name) else measured.results for name in names}
     total = sum(len(results) for results in lights.values())
-    with progress_bar(f"{ladder.name}: renderers", max(total, 1)) as advance:
-        return compare_renderers(ladder, lights, lambda _: advance())
+    with progress_bar(f"{measured.name}: renderers", max(total, 1)) as advance:
+        return compare_renderers(measured, lights, lambda _: advance())
 
 
 def lights_for_renderers(results: Sequence[LightResult]) -> list[LightResult]:

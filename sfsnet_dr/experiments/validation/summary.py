@@ -1,4 +1,4 @@
-"""The results of a validation summed up: means over lights, the cheapest rung within a tolerance."""
+"""The results of a validation summed up: means over lights, the cheapest model within a tolerance."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Study:
 
     Attributes:
         scene: errors of the models.
-        times: of the rungs, by key.
+        times: of the models, by key.
         cold: first calls, by key; empty where they were not measured.
         renderers: every registered renderer; empty where none was asked for.
     """
@@ -42,7 +42,7 @@ class Study:
     renderers: tuple[RendererResult, ...] = ()
 
     @property
-    def rungs(self) -> tuple[ShadingModel, ...]:
+    def models(self) -> tuple[ShadingModel, ...]:
         """The shading models."""
         return shading_models(self.scene.subject.spec.has_gloss)
 
@@ -52,14 +52,14 @@ class Study:
         found = tuple(result for result in self.scene.results if result.light.name in NATURAL)
         return found if len(found) == len(NATURAL) else ()
 
-    def capture_seconds(self, rung: ShadingModel) -> float:
-        """What a rung costs once a subject."""
-        return self.scene.inputs.seconds[rung.kind]
+    def capture_seconds(self, model: ShadingModel) -> float:
+        """What a model costs once a subject."""
+        return self.scene.inputs.seconds[model.kind]
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A rung or the path tracer at a number of paths, over all lights of a run.
+    """A model or the path tracer at a number of paths, over all lights of a run.
 
     Attributes:
         name: for people.
@@ -79,11 +79,11 @@ class Candidate:
 
 
 def pooled_error(study: Study, key: str, results: Iterable[LightResult]) -> TimedError:
-    """A rung over several lights: RMS of its relative errors, with the RMS of the intervals' ends."""
-    rung = next(rung for rung in study.rungs if rung.key == key)
+    """A model over several lights: RMS of its relative errors, with the RMS of the intervals' ends."""
+    model = next(model for model in study.models if model.key == key)
     errors = [result.row(key).errors.rel for result in results]
     low, value, high = (_rms(getattr(e, name) for e in errors) for name in ("low", "value", "high"))
-    return TimedError(rung.name, _GROUPS[rung.kind], study.times[key].warm.total, value, (low, high))
+    return TimedError(model.name, _GROUPS[model.kind], study.times[key].warm.total, value, (low, high))
 
 
 def path_candidates(results: Iterable[LightResult]) -> list[TimedError]:
@@ -101,14 +101,14 @@ def path_candidates(results: Iterable[LightResult]) -> list[TimedError]:
 
 
 def all_candidates(study: Study) -> list[Candidate]:
-    """All rungs and the path tracer, the quickest image first."""
+    """All models and the path tracer, the quickest image first."""
     results = study.scene.results
     found = []
-    for rung in study.rungs:
-        worst = max(results, key=lambda result: result.row(rung.key).errors.rel.value)
-        error, once = worst.row(rung.key).errors.rel.value, study.capture_seconds(rung)
-        seconds = study.times[rung.key].warm.total
-        found.append(Candidate(rung.name, seconds, once, error, worst.light.name, path=False))
+    for model in study.models:
+        worst = max(results, key=lambda result: result.row(model.key).errors.rel.value)
+        error, once = worst.row(model.key).errors.rel.value, study.capture_seconds(model)
+        seconds = study.times[model.key].warm.total
+        found.append(Candidate(model.name, seconds, once, error, worst.light.name, path=False))
     for k, path in enumerate(results[0].paths):
         worst = max(results, key=lambda result: result.paths[k].noise)
         seconds = float(np.median([result.paths[k].seconds for result in results]))

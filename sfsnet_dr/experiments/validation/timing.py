@@ -63,7 +63,7 @@ class KernelTime:
 
 @dataclass(frozen=True)
 class ModelTime:
-    """Times of one image of a rung.
+    """Times of one image of a model.
 
     Attributes:
         warm: medians of a compiled call.
@@ -78,21 +78,21 @@ class ModelTime:
     copy_share: float
 
 
-def time_model(known: ModelInputs, rung: ShadingModel, light: Light) -> ModelTime:
-    """Measure one rung. The light matters to no time; projecting it onto harmonics is not counted."""
-    function, inputs = shading_kernel(rung), known.inputs(rung)
-    batch = -(-WORKING_SET // (rung.bytes_per_pixel * known.mask.size))
+def time_model(known: ModelInputs, model: ShadingModel, light: Light) -> ModelTime:
+    """Measure one model. The light matters to no time; projecting it onto harmonics is not counted."""
+    function, inputs = shading_kernel(model), known.inputs(model)
+    batch = -(-WORKING_SET // (model.bytes_per_pixel * known.mask.size))
     many = tuple(_tiled(planes, batch) for planes in inputs)
-    radiance = light.coefficients(rung.order)
-    weighed = light_weights(rung, radiance)
+    radiance = light.coefficients(model.order)
+    weighed = light_weights(model, radiance)
     # A light is new data for every image, so that putting it into Dr.Jit's memory counts too.
     warm = _medians(
-        lambda: time_kernels(lambda: function(*inputs, *light_weights(rung, radiance)), history=False)
+        lambda: time_kernels(lambda: function(*inputs, *light_weights(model, radiance)), history=False)
     )
     parts = _medians(lambda: time_kernels(lambda: function(*inputs, *weighed)))
     quick = dr.freeze(function)
     frozen = _medians(
-        lambda: time_kernels(lambda: quick(*inputs, *light_weights(rung, radiance)), history=False)
+        lambda: time_kernels(lambda: quick(*inputs, *light_weights(model, radiance)), history=False)
     )
     bandwidth = copy_bandwidth()
     time_kernels(lambda: function(*many, *weighed))
@@ -102,7 +102,7 @@ def time_model(known: ModelInputs, rung: ShadingModel, light: Light) -> ModelTim
         warm=KernelTime(warm.total, parts.codegen, parts.backend, parts.execution),
         frozen=frozen.total,
         ns_per_pixel=1e9 * execution / pixels,
-        copy_share=rung.bytes_per_pixel * pixels / execution / bandwidth,
+        copy_share=model.bytes_per_pixel * pixels / execution / bandwidth,
     )
 
 
@@ -161,11 +161,11 @@ _TIME_LIMIT = 300
 
 
 def measure_cold_start(size: int, gloss: bool) -> dict[str, KernelTime]:
-    """Times of first calls by rung's key; by ``path`` for the path tracer, ``capture_KIND`` for captures.
+    """Times of first calls by model's key; by ``path`` for the path tracer, ``capture_KIND`` for captures.
 
     Args:
         size: edge of the image in pixels.
-        gloss: whether the rung with gloss is there.
+        gloss: whether the model with gloss is there.
 
     Raises:
         RunError: if the process fails or takes minutes.
@@ -202,21 +202,21 @@ def _main(size: int, gloss: bool) -> dict[str, KernelTime]:
 
     spec = SceneSpec("cold", "sphere", camera=CameraSpec(size=size), gloss=gloss)
     spec = replace(spec, sampling=SamplingSpec(spp=2, paths_per_hit=1))
-    subject, light, rungs = build_subject(spec), natural_light(0), shading_models(gloss)
+    subject, light, models = build_subject(spec), natural_light(0), shading_models(gloss)
     dr.eval(dr.arange(mi.Float, 4) + 1.0)  # LLVM itself has to start once
     found = {}
     plain = SurfaceScene(subject.mesh, subject.camera)
     plain.set_environment(light.environment if light.environment is not None else 0.0)
     found["path"] = _first(partial(path_trace, plain, 4, 0))
     found["capture_analytic"] = _first(partial(render_aovs, plain, 2, 0, TransportOptions(order=0)))
-    for kind in dict.fromkeys(rung.kind for rung in rungs if rung.kind != "analytic"):
+    for kind in dict.fromkeys(model.kind for model in models if model.kind != "analytic"):
         scene = SurfaceScene(subject.mesh, subject.camera, gloss=True) if kind == "gloss" else plain
         options = TransportOptions(order=4, bounces=int(kind != "visibility"))
         found[f"capture_{kind}"] = _first(partial(render_aovs, scene, 2, 0, options))
-    known = capture_inputs(subject, 0, rungs)
-    for rung in rungs:
-        inputs, values = known.inputs(rung), light_weights(rung, light.coefficients(rung.order))
-        found[rung.key] = time_kernels(partial(shading_kernel(rung), *inputs, *values))
+    known = capture_inputs(subject, 0, models)
+    for model in models:
+        inputs, values = known.inputs(model), light_weights(model, light.coefficients(model.order))
+        found[model.key] = time_kernels(partial(shading_kernel(model), *inputs, *values))
     return found
 
 

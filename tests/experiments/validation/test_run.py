@@ -1,4 +1,4 @@
-"""The ladder on a sphere, where every rung's error is known, and what the command leaves behind."""
+"""The measured on a sphere, where every model's error is known, and what the command leaves behind."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_errors_under_a_lamp_on_a_sphere_are_the_closed_forms(study: Study, orde
 
 
 def test_natural_errors_fall_with_the_order_and_shadows_help_no_convex_body(study: Study) -> None:
-    errors = {rung.key: pooled_error(study, rung.key, study.natural).error for rung in study.rungs}
+    errors = {model.key: pooled_error(study, model.key, study.natural).error for model in study.models}
     assert errors["order0"] > 3 * errors["order1"] > 9 * errors["order2"]
     assert errors["order2"] < 0.02
     assert errors["order2_visibility"] == pytest.approx(errors["order2"], abs=0.005)
@@ -108,12 +108,12 @@ def test_the_path_tracers_noise_and_its_crossover(study: Study) -> None:
 
 
 def test_registered_renderers_agree_with_the_ladder(study: Study) -> None:
-    rivals = {(rival.renderer, rival.light): rival for rival in study.renderers}
-    ours = rivals["drjit-order2", "directional60"]
+    compared = {(other.renderer, other.light): other for other in study.renderers}
+    ours = compared["drjit-order2", "directional60"]
     assert ours.errors is not None
     row = study.scene.results[-1].row("order2")
     assert ours.errors.rel.value == pytest.approx(row.errors.rel.value, rel=0.02)
-    path = rivals["mitsuba-llvm-path", "directional60"]
+    path = compared["mitsuba-llvm-path", "directional60"]
     assert path.errors is not None
     assert path.errors.rel.value < 0.01 < row.errors.rel.value  # the same truth by other paths
     assert path.noise > 0
@@ -124,7 +124,7 @@ def test_a_renderer_of_another_package_is_measured_under_every_light(
 ) -> None:
     for module in (run, page):
         monkeypatch.setattr(module, "is_built_in", lambda name: name != "torch-order2")
-    found = run._rivals(study.scene, ["drjit-order2", "torch-order2"])
+    found = run._compare(study.scene, ["drjit-order2", "torch-order2"])
     lights = [result.light.name for result in study.scene.results]
     assert [each.light for each in found if each.renderer == "torch-order2"] == lights
     assert len([each for each in found if each.renderer == "drjit-order2"]) == 2
@@ -149,7 +149,7 @@ def test_records_and_csv_hold_every_model_and_light(study: Study) -> None:
     assert records["validate.order2.ball.share.copy_bandwidth"].value > 0
     assert records["validate.drjit-order2.ball.natural0.rel_rmse"].value < 0.02
     rows = list(csv.DictReader(io.StringIO(to_csv(study))))
-    assert len(rows) == 4 * (9 + 2 + 4) + 2 * 2  # lights times (rungs, limits, paths), renderers
+    assert len(rows) == 4 * (9 + 2 + 4) + 2 * 2  # lights times (models, limits, paths), renderers
     assert {row["model"] for row in rows} >= {"order0", "order4_bounce", "path_direct", "path_16spp"}
 
 
@@ -182,7 +182,7 @@ def test_the_page_is_self_contained_and_shows_every_model(study: Study, tmp_path
     page = (tmp_path / "index.html").read_text()
     assert "<script" not in page
     assert 'src="http' not in page
-    assert all(rung.name in page for rung in study.rungs)
+    assert all(model.name in page for model in study.models)
     assert "flip-evaluator" in page or has_flip()
     assert scene_section(study, 0.05).heading == "The scene ball"  # as the demo's page shows it
 
