@@ -218,7 +218,7 @@ def choose_components(photos: Sequence[Photo], most: int | None, seed: int) -> l
     if most is None or most >= len(photos):
         return list(photos)
     if most < 1:
-        raise InputError(f"most: {most} found, 1 at least is needed")
+        raise InputError(f"--max-images: {most} found, at least 1 is needed")
     picked = np.random.default_rng(seed).permutation(len(photos))[:most]
     return [photos[index] for index in sorted(picked)]
 

@@ -183,7 +183,7 @@ def test_bad_mixtures_are_told(labels: Path, spheres: Path, tmp_path: Path) -> N
             labels=labels,
             progress=False,
         )
-    with pytest.raises(InputError, match="'display' found, the pseudo-labels were made with 'linear'"):
+    with pytest.raises(InputError, match="'srgb' found, the pseudo-labels were made with 'linear'"):
         RealFaces(load_pseudo_labels(labels), 2, PseudoLabelOptions(encoding="srgb"), 0)
     rendered = RelitFaces(load_faces(spheres), 2, Augmentation(num_lights=4), 0)
     with pytest.raises(InputError, match=r"8 x 8 pixels found, 16 x 16"):

@@ -196,7 +196,7 @@ def test_bad_folders_end_the_command(
         "--out",
         str(tmp_path / "o"),
     ]
-    assert main(["fit-lights", *arguments]) == 2
+    assert main(["fit-light-prior", *arguments]) == 2
     told = capfd.readouterr()
     assert len(told.err.splitlines()) == 1
     assert message in told.err

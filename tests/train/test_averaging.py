@@ -49,7 +49,7 @@ def test_equal_shares_are_the_default_and_units_do_not_matter(files: list[Path])
 
 def test_the_command_tells_what_the_mean_is_of(files: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "mean.safetensors"
-    assert main(["weights", "mean", *map(str, files), "--shares", "3", "7", "--out", str(out)]) == 0
+    assert main(["weights", "average", *map(str, files), "--coefficients", "3", "7", "--out", str(out)]) == 0
     told = read_metadata(out)
     assert told["mean_of"] == [
         {"sha256": sha256(files[0]), "share": 3.0},

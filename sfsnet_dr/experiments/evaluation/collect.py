@@ -65,7 +65,7 @@ def collect_samples(kind: str, folders: Sequence[Path], amount: Amount) -> Colle
     if len(folders) != 1 and kind != "synthetic":
         raise InputError(f"{kind}: {len(folders)} folders found, one is needed")
     if amount.most < 1:
-        raise InputError(f"most: {amount.most} photographs found, at least 1 is needed")
+        raise InputError(f"--max-images: {amount.most} photographs found, at least 1 is needed")
     most = min(amount.most, _QUICK_MOST) if amount.quick else amount.most
     if kind == "synthetic":
         with progress_bar("photographing rendered faces", most) as advance:

@@ -243,7 +243,7 @@ def test_folders_are_recognised(tmp_path: Path) -> None:
         (["yaleb", "{}/photos"], "did you mean 'yale-b'?"),
         (["folder"], "0 folders found, one is needed"),
         (["all", "{}/none"], "no such folder"),
-        (["folder", "{}/photos", "--most", "0"], "at least 1 is needed"),
+        (["folder", "{}/photos", "--max-images", "0"], "at least 1 is needed"),
         (["folder", "{}/photos", "--faces", "x"], "--faces"),
     ],
 )
@@ -273,7 +273,7 @@ def test_all_data_end_on_one_page(tmp_path: Path, capsys: pytest.CaptureFixture[
     weights, out = tmp_path / "tiny.safetensors", tmp_path / "out"
     save_weights(weights, SfSNet(2, 2, 1), {"recipe": {"data": {"size": 16}}})
     arguments = ["evaluate", "all", str(tmp_path / "data"), "--faces", str(tmp_path / "faces"), "--json"]
-    assert main([*arguments, "--weights", str(weights), "--most", "4", "--out", str(out)]) == 0
+    assert main([*arguments, "--weights", str(weights), "--max-images", "4", "--out", str(out)]) == 0
     records = {row["what"]: row["value"] for row in json.loads(capsys.readouterr().out)}
     assert records["yale_b.skipped"] == 1
     assert records["yale_b.images"] == 24
