@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -17,6 +17,9 @@ from sfsnet_dr.experiments.validation.summary import Study, cheapest_model, pool
 from sfsnet_dr.report.record import Record, dotted_word, make_record
 
 _Add = Callable[..., Record]
+
+#: The light whose errors are stored for every model and renderer: one lamp, where cast shadows are largest.
+STORED_LIGHT: Final = "directional60"
 
 _COLUMNS: Final = (
     "scene", "light", "model", "rel_rmse", "low", "high", "worst_block", "mae_8bit", "delta_e_2000", "flip",
@@ -34,14 +37,26 @@ def study_records(study: Study, tolerance: float, command: str, seed: int) -> li
 
 
 def main_records(records: Iterable[Record]) -> list[Record]:
-    """The records to keep of many scenes: errors of all models, causes and times of the order-2 model."""
-    ours = ("validate.order2.", "validate.path.", "validate.cheapest.")
-    return [
-        record
-        for record in records
-        if record.what.endswith((".rel_rmse", ".seconds", ".share.copy_bandwidth"))
-        or (record.what.startswith(ours) and (".cause." in record.what or ".time." in record.what))
-    ]
+    """Choose the records of many scenes to store; ``errors.csv`` has the other errors, times and causes.
+
+    Args:
+        records: what ``study_records`` made of any number of scenes.
+
+    Returns:
+        The records without a light, relative errors under ``STORED_LIGHT``, the size of spectral effects
+        (no column of ``errors.csv``), and everything of Cycles, which is not installed everywhere.
+    """
+    return [record for record in records if _is_stored(record.what.split("."))]
+
+
+def _is_stored(what: Sequence[str]) -> bool:
+    """Whether a name, ``validate.<model>.<scene>[.<light>].<what>`` split at its dots, is stored."""
+    model, rest = what[1], what[3:]
+    if len(rest) == 1 or rest[0] in ("time", "share"):
+        return True
+    return (
+        rest == [STORED_LIGHT, "rel_rmse"] or rest[1:] == ["cause", "spectral"] or model.startswith("cycles-")
+    )
 
 
 def to_csv(study: Study) -> str:

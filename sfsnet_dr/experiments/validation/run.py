@@ -83,7 +83,7 @@ def validate_all(request: Request, out: Path | str, skipped: Callable[[str], Non
 
     Args:
         request: its scene is not looked at.
-        out: folder for all of it; ``records.json`` holds what ``validate_records.main_records`` picks, and
+        out: folder for all of it; ``records.json`` holds what ``records.main_records`` chooses, and
             ``errors.csv`` every line.
         skipped: called with the reason for a scene whose face model is not given.
     """

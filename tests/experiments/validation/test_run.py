@@ -17,7 +17,7 @@ from sfsnet_dr.experiments.demo.run import run_demo
 from sfsnet_dr.experiments.validation import page, run
 from sfsnet_dr.experiments.validation.measure import measure_models
 from sfsnet_dr.experiments.validation.page import scene_section, write_study_page
-from sfsnet_dr.experiments.validation.records import study_records, to_csv
+from sfsnet_dr.experiments.validation.records import STORED_LIGHT, main_records, study_records, to_csv
 from sfsnet_dr.experiments.validation.renderers import chosen_renderers
 from sfsnet_dr.experiments.validation.run import Request, measure_scene, validate
 from sfsnet_dr.experiments.validation.summary import (
@@ -151,6 +151,27 @@ def test_records_and_csv_hold_every_model_and_light(study: Study) -> None:
     rows = list(csv.DictReader(io.StringIO(to_csv(study))))
     assert len(rows) == 4 * (9 + 2 + 4) + 2 * 2  # lights times (models, limits, paths), renderers
     assert {row["model"] for row in rows} >= {"order0", "order4_bounce", "path_direct", "path_16spp"}
+
+
+def test_stored_records_leave_out_what_the_csv_has(study: Study) -> None:
+    records = study_records(study, 0.05, "test", 0)
+    stored = {record.what for record in main_records(records)}
+    assert "validate.order2.ball.rel_rmse" in stored
+    assert f"validate.order2.ball.{STORED_LIGHT}.rel_rmse" in stored
+    assert "validate.order2.ball.time.frozen" in stored
+    assert f"validate.order2.ball.{STORED_LIGHT}.cause.truncation" not in stored
+    with_light = {
+        what for what in stored if what.split(".")[3] not in ("rel_rmse", "seconds", "time", "share")
+    }
+    rows = {
+        (row["model"], row["light"]): float(row["rel_rmse"])
+        for row in csv.DictReader(io.StringIO(to_csv(study)))
+    }
+    for record in records:
+        _, model, _, light, *what = record.what.split(".")
+        if what == ["rel_rmse"]:
+            assert rows[model, light] == pytest.approx(record.value, rel=1e-4)
+    assert all(what.endswith((f".{STORED_LIGHT}.rel_rmse", ".cause.spectral")) for what in with_light)
 
 
 def test_times_are_taken_apart(study: Study) -> None:
